@@ -1,0 +1,1 @@
+"""Dual-arm assembly: plan from meshes and goal poses, build with two arms in contact physics, judge by final poses."""
