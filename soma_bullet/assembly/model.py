@@ -1,0 +1,106 @@
+"""The assembly: workpieces with goal poses on a support, and the contacts of the finished state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from soma_bullet.assembly.contacts import SUPPORT, Contact, find_contacts
+from soma_bullet.assembly.hulls import Hull
+from soma_bullet.assembly.workpiece import Workpiece
+from soma_bullet.frames import Array, apply
+
+
+@dataclass(frozen=True)
+class Support:
+    """The horizontal plane that the assembly stands on.
+
+    Attributes:
+        height: z of the plane in the assembly frame [m].
+        friction: Coulomb coefficient.
+    """
+
+    height: float = 0.0
+    friction: float = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Assembly:
+    """What to build.
+
+    Attributes:
+        name: for people and folders.
+        pieces: the workpieces, in the order of the file.
+        goals: Ts_assembly_piece (n, 4, 4), the nominal final poses.
+        support: what they stand on.
+        digest: hash of everything that decides a plan (the file's content and the meshes').
+    """
+
+    name: str
+    pieces: tuple[Workpiece, ...]
+    goals: Array
+    support: Support
+    digest: str = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the pieces, in order."""
+        return tuple(piece.name for piece in self.pieces)
+
+    def index(self, name: str) -> int:
+        """Index of the piece called `name`; KeyError lists the names."""
+        try:
+            return self.names.index(name)
+        except ValueError:
+            raise KeyError(f"no piece {name!r}; there are {', '.join(self.names)}") from None
+
+    @cached_property
+    def contacts(self) -> tuple[Contact, ...]:
+        """Contact patches of the finished assembly, the support included."""
+        return find_contacts(self.pieces, self.goals, self.support.height)
+
+    @cached_property
+    def goal_parts(self) -> tuple[tuple[Hull, ...], ...]:
+        """Convex parts of every piece at its goal, in the assembly frame."""
+        return tuple(
+            tuple(part.moved(goal) for part in piece.parts) for piece, goal in zip(self.pieces, self.goals, strict=True)
+        )
+
+    @cached_property
+    def goal_centres(self) -> Array:
+        """Centres of mass (n, 3) [m] at the goals, in the assembly frame."""
+        return np.array([apply(g, p.center_of_mass) for p, g in zip(self.pieces, self.goals, strict=True)])
+
+    def contacts_of(self, piece: int, placed: frozenset[int]) -> tuple[Contact, ...]:
+        """Contacts of `piece` with the placed pieces and the support, each oriented with its normal into `piece`."""
+        mine = (c.into(piece) for c in self.contacts if piece in (c.body_a, c.body_b))
+        return tuple(c for c in mine if c.body_a == SUPPORT or c.body_a in placed)
+
+    @cached_property
+    def drops(self) -> Array:
+        """How far each piece settles below its nominal goal when it is put down (n,) [m].
+
+        A piece on the support drops by its clearance; one on others by both clearances plus the smallest drop among the pieces that
+        carry it (it rests on the highest). A piece that nothing carries keeps its goal.
+        """
+        upward = np.cos(np.deg2rad(60.0))
+        carriers: list[set[int]] = [set() for _ in self.pieces]
+        for contact in self.contacts:
+            for piece in {contact.body_a, contact.body_b} - {SUPPORT}:
+                oriented = contact.into(piece)
+                if oriented.normal[2] > upward:
+                    carriers[piece].add(oriented.body_a)
+        drops = np.full(len(self.pieces), np.nan)
+        for _ in self.pieces:
+            for piece, below in enumerate(carriers):
+                if not below:
+                    drops[piece] = 0.0
+                elif SUPPORT in below:
+                    drops[piece] = self.pieces[piece].clearance
+                elif not np.isnan(drops[list(below)]).any():
+                    drops[piece] = min(
+                        drops[other] + self.pieces[piece].clearance + self.pieces[other].clearance for other in below
+                    )
+        return np.nan_to_num(drops)

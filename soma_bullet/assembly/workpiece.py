@@ -1,0 +1,96 @@
+"""One rigid workpiece: its mesh, its material, and what follows from them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import trimesh
+
+from soma_bullet.assembly.facets import Facet, planar_facets
+from soma_bullet.assembly.hulls import Hull, box_parts, hull_of_points
+from soma_bullet.frames import Array, readonly
+
+CONVEX_TOLERANCE = 1e-4  # relative volume that a hull may add to a mesh that counts as convex
+
+
+class NotDecomposableError(ValueError):
+    """The mesh is neither convex nor made of boxes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Workpiece:
+    """A rigid body to be placed.
+
+    Attributes:
+        name: unique in its assembly.
+        vertices: (v, 3) [m], in the piece's own frame.
+        faces: triangles (f, 3), outward by the right-hand rule.
+        density: [kg/m3].
+        friction: Coulomb coefficient against the other pieces and the support.
+        clearance: how much every face of the real body stands back from the nominal mesh [m]; two pieces fit with a gap of twice that.
+        color: red, green, blue in 0..1, for pictures.
+    """
+
+    name: str
+    vertices: Array
+    faces: Array
+    density: float = 700.0
+    friction: float = 0.5
+    clearance: float = 1e-4
+    color: tuple[float, float, float] = (0.7, 0.7, 0.7)
+
+    @cached_property
+    def mesh(self) -> trimesh.Trimesh:
+        """The nominal body as a trimesh."""
+        return trimesh.Trimesh(self.vertices, self.faces, process=False)
+
+    @cached_property
+    def mass(self) -> float:
+        """[kg]"""
+        return self.density * float(self.mesh.volume)
+
+    @cached_property
+    def center_of_mass(self) -> Array:
+        """(3,) [m] in the piece's frame, for a homogeneous body."""
+        return readonly(self.mesh.center_mass)
+
+    @cached_property
+    def inertia(self) -> Array:
+        """Inertia tensor (3, 3) [kg m2] about the centre of mass, in the piece's axes."""
+        mesh = self.mesh.copy()
+        mesh.density = self.density
+        return readonly(mesh.moment_inertia)
+
+    @cached_property
+    def radius(self) -> float:
+        """Largest distance of a vertex from the centre of mass [m]."""
+        return float(np.linalg.norm(self.vertices - self.center_of_mass, axis=1).max())
+
+    @cached_property
+    def facets(self) -> tuple[Facet, ...]:
+        """Planar faces in the piece's frame, largest first."""
+        return planar_facets(self.vertices, self.faces)
+
+    @cached_property
+    def parts(self) -> tuple[Hull, ...]:
+        """Convex polytopes in the piece's frame whose union is the nominal body.
+
+        Raises:
+            NotDecomposableError: the mesh is neither made of boxes nor convex.
+        """
+        boxes = box_parts(self.vertices, self.faces, np.array([facet.normal for facet in self.facets]))
+        if boxes:
+            return tuple(boxes)
+        hull = self.mesh.convex_hull
+        if hull.volume > self.mesh.volume * (1 + CONVEX_TOLERANCE):
+            raise NotDecomposableError(
+                f"piece {self.name!r} is neither made of boxes nor convex: its hull has {hull.volume / self.mesh.volume:.3f} x its volume"
+            )
+        return (hull_of_points(np.asarray(self.vertices)),)
+
+    @cached_property
+    def body_parts(self) -> tuple[Hull, ...]:
+        """Convex polytopes of the real body: `parts` with every face inset by the clearance."""
+        return tuple(part.inset(self.clearance) for part in self.parts)

@@ -1,0 +1,280 @@
+"""The hand as geometry: a parallel gripper described by a TOML file and a URDF.
+
+The TCP lies midway between the pads' centres: z towards the workpiece, x the closing axis (first finger at +x), y = z x x.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from soma_bullet.errors import InputError
+from soma_bullet.frames import Array, make_transform, readonly
+
+METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+_SCHEMA = 1
+
+
+class Fields:
+    """One table of a TOML file, read key by key; faults are collected, and keys that nobody read are faults as well."""
+
+    def __init__(self, table: Mapping[str, Any], faults: list[str], where: str = ""):
+        self._table, self.faults, self._where, self._read = table, faults, where, set[str]()
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._table
+
+    def keys(self) -> list[str]:
+        return list(self._table)
+
+    def _get(self, key: str, kind: type | tuple[type, ...], what: str, fallback: Any) -> Any:
+        self._read.add(key)
+        if key not in self._table:
+            if fallback is None:
+                self.faults.append(f"{self._where}{key} is missing: {what}")
+            return fallback
+        value = self._table[key]
+        if not isinstance(value, kind) or isinstance(value, bool):
+            self.faults.append(f"{self._where}{key} = {value!r}: must be {what}")
+            return fallback
+        return value
+
+    def text(self, key: str, fallback: str | None = None) -> str:
+        """A string; empty where it is missing."""
+        return self._get(key, str, "a string", fallback) or ""
+
+    def texts(self, key: str, count: int | None = None) -> tuple[str, ...]:
+        """A list of strings; empty where it is missing or wrong."""
+        what = f"a list of {count or ''} strings".replace("  ", " ")
+        values = self._get(key, list, what, None)
+        if values is None:
+            return ()
+        if not all(isinstance(value, str) for value in values) or (count is not None and len(values) != count):
+            self.faults.append(f"{self._where}{key} = {values!r}: must be {what}")
+            return ()
+        return tuple(values)
+
+    def items(self, key: str, what: str) -> list[Any]:
+        """A list; empty where it is missing."""
+        return self._get(key, list, what, None) or []
+
+    def number(self, key: str, positive: bool = True, fallback: float | None = None) -> float:
+        """A finite number; NaN where it is missing or wrong."""
+        value = self._get(key, (int, float), "a number", fallback)
+        if value is None:
+            return np.nan
+        if not np.isfinite(value) or (positive and value <= 0):
+            self.faults.append(f"{self._where}{key} = {value}: must be {'positive' if positive else 'finite'}")
+        return float(value)
+
+    def numbers(self, key: str, shape: tuple[int, ...], fallback: Any = None) -> Array:
+        """An array of finite numbers; NaN where it is missing or wrong. -1 in `shape` stands for any length."""
+        what = "an array of numbers of shape " + " x ".join("n" if n < 0 else str(n) for n in shape)
+        value = self._get(key, list, what, fallback)
+        wrong = np.full([max(n, 1) for n in shape], np.nan)
+        if value is None:
+            return wrong
+        try:
+            array = np.asarray(value, float)
+        except (TypeError, ValueError):
+            array = np.empty(0)
+        fits = array.ndim == len(shape) and all(n in (-1, m) for n, m in zip(shape, array.shape, strict=True))
+        if not fits or not np.isfinite(array).all():
+            self.faults.append(f"{self._where}{key} = {value!r}: must be {what}")
+            return wrong
+        return array
+
+    def table(self, key: str, optional: bool = False) -> Fields:
+        """A table within; empty where it is missing."""
+        found = self._get(key, dict, "a table", {} if optional else None)
+        # What is missing as a whole is one fault, not one per key.
+        return Fields(found or {}, self.faults if found is not None else [], f"{self._where}{key}.")
+
+    def unit(self) -> float:
+        """Metres per unit of length: the key `unit` is mandatory."""
+        name = self._get("unit", str, f"mandatory, one of {', '.join(METRES)}", None)
+        if name is not None and name not in METRES:
+            self.faults.append(f"{self._where}unit = {name!r}: must be one of {', '.join(METRES)}")
+        return METRES.get(name, 1.0)
+
+    def schema(self) -> None:
+        """Refuses a file of another schema."""
+        number = self._get("schema", int, f"the number {_SCHEMA}", None)
+        if number not in (None, _SCHEMA):
+            self.faults.append(f"schema = {number}: this version reads schema {_SCHEMA}")
+
+    def close(self) -> None:
+        """Unread keys are faults: a typo must not pass for a default."""
+        for key in self._table:
+            if key not in self._read:
+                self.faults.append(f"{self._where}{key} is unknown; known here: {', '.join(sorted(self._read))}")
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file.
+
+    Raises:
+        InputError: the file is missing or not TOML.
+    """
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise InputError(str(path), "no such file") from None
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(str(path), f"cannot be read as TOML: {error}") from None
+
+
+@dataclass(frozen=True)
+class Box:
+    """A solid box. T (4, 4) places its centre in the frame at hand, half (3,) [m] are its half sizes."""
+
+    T: Array
+    half: Array
+
+    def moved(self, offset: Array | tuple[float, float, float]) -> Box:
+        """The box shifted by `offset` (3,) [m] in its outer frame."""
+        shifted = np.array(self.T)
+        shifted[:3, 3] += offset
+        return Box(readonly(shifted), self.half)
+
+
+@dataclass(frozen=True)
+class Hand:
+    """A parallel hand. Lengths in m, forces in N; link and joint names as in its URDF, without any prefix.
+
+    Attributes:
+        finger_links, finger_joints: the finger at +x of the TCP first; a positive joint value opens its finger.
+        opening: widest distance between the pads; each finger joint takes half of it.
+        pad_size (2,): along y and z of the TCP.
+        T_mount_tcp (4, 4): the TCP seen from the mount link, which sits on the arm's tool link.
+        palm_boxes, left_boxes, right_boxes: collision geometry in the TCP frame with the fingers closed.
+    """
+
+    name: str
+    urdf: Path
+    mount_link: str
+    palm_link: str
+    finger_links: tuple[str, str]
+    finger_joints: tuple[str, str]
+    tcp_link: str
+    opening: float
+    pad_size: Array
+    pad_friction: float
+    grip_force: float
+    force_range: tuple[float, float]
+    T_mount_tcp: Array
+    palm_boxes: tuple[Box, ...]
+    left_boxes: tuple[Box, ...]
+    right_boxes: tuple[Box, ...]
+
+    def boxes(self, width: float) -> tuple[Box, ...]:
+        """All collision boxes in the TCP frame with the pads `width` [m] apart: palm, left, right."""
+        shift = np.array((width / 2, 0.0, 0.0))
+        left = tuple(box.moved(shift) for box in self.left_boxes)
+        return (*self.palm_boxes, *left, *(box.moved(-shift) for box in self.right_boxes))
+
+
+def load_hand(path: Path | str) -> Hand:
+    """The hand described by a TOML file (`robots/<cell>/hand.toml`).
+
+    Raises:
+        InputError: with every fault of the file and of the URDF that it names.
+    """
+    path = Path(path)
+    faults: list[str] = []
+    fields = Fields(read_toml(path), faults)
+    fields.schema()
+    scale = fields.unit()
+    name, urdf = fields.text("name"), path.parent / fields.text("urdf")
+    links, joints, grip = fields.table("links"), fields.table("joints"), fields.table("grip")
+    mount, palm, tcp = (links.text(key) for key in ("mount", "palm", "tcp"))
+    finger_links, finger_joints = links.texts("fingers", 2), joints.texts("fingers", 2)
+    opening, pad_size = grip.number("opening") * scale, grip.numbers("pad_size", (2,)) * scale
+    friction, force = grip.number("pad_friction"), grip.number("force")
+    low, high = grip.numbers("force_range", (2,))
+    for part in (fields, links, joints, grip):
+        part.close()
+    if not low <= force <= high and not np.isnan([low, high, force]).any():
+        faults.append(f"grip.force = {force:g} N lies outside grip.force_range = [{low:g}, {high:g}]")
+    if not urdf.is_file():
+        faults.append(f"urdf: no file {urdf}")
+    if faults:  # the geometry can only be read once all names are there
+        raise InputError(str(path), faults)
+
+    names = (mount, palm, *finger_links, tcp)
+    T_mount_tcp, boxes = _geometry(path, urdf, names, finger_joints, opening)
+    finger_size = [2 * np.abs(box.T[1:3, :3]) @ box.half for box in (*boxes[1], *boxes[2])]
+    if (pad_size > np.max(finger_size, axis=0) + 1e-9).any():
+        faults.append(f"grip.pad_size: {pad_size * 1e3} mm exceeds the fingers, {np.max(finger_size, axis=0) * 1e3} mm")
+    gaps = [min(float(side * box.T[0, 3] - np.abs(box.T[0, :3]) @ box.half) for box in part)
+            for side, part in ((1.0, boxes[1]), (-1.0, boxes[2]))]
+    if np.abs(gaps).max() > 1e-6:
+        faults.append(f"urdf: closed fingers must touch at x = 0 of the tcp, they are {np.array(gaps) * 1e3} mm from it")
+    if faults:
+        raise InputError(str(path), faults)
+    return Hand(
+        name, urdf.resolve(), mount, palm, finger_links, finger_joints, tcp, opening, readonly(pad_size),
+        friction, force, (float(low), float(high)), readonly(T_mount_tcp), *boxes,
+    )  # fmt: skip
+
+
+def _geometry(
+    path: Path, urdf: Path, names: tuple[str, ...], finger_joints: tuple[str, ...], opening: float
+) -> tuple[Array, tuple[tuple[Box, ...], ...]]:
+    """T_mount_tcp and the boxes of palm, left and right finger in the TCP frame, from the URDF's collision geometry."""
+    import yourdfpy
+
+    try:
+        model = yourdfpy.URDF.load(str(urdf), load_meshes=False)
+    except Exception as error:  # yourdfpy passes on whatever its XML library raises
+        raise InputError(str(urdf), f"cannot be read as URDF: {error}") from None
+    faults = [f"links: {name!r} is not a link of {urdf.name}; it has {', '.join(model.link_map)}"
+              for name in names if name not in model.link_map]
+    for name in finger_joints:
+        joint = model.joint_map.get(name)
+        if joint is None or joint.type != "prismatic":
+            faults.append(f"joints.fingers: {name!r} is not a prismatic joint of {urdf.name}")
+        elif joint.limit is None or (joint.limit.upper or 0.0) < opening / 2 - 1e-9:
+            faults.append(f"grip.opening = {opening * 1e3:g} mm needs joint {name} to travel half of it")
+    if faults:
+        raise InputError(str(path), faults)
+
+    mount, palm, left, right, tcp = names
+    for name, sign in zip(finger_joints, (1.0, -1.0), strict=True):
+        joint = model.joint_map[name]
+        axis = model.get_transform(joint.child, tcp)[:3, :3] @ joint.axis
+        if not np.allclose(axis, (sign, 0, 0), atol=1e-6):
+            faults.append(f"joints.fingers: {name} must open towards {'+' if sign > 0 else '-'}x of the tcp, not {axis}")
+    boxes = tuple(
+        tuple(_box(model.get_transform(link, tcp), shape, urdf, faults) for shape in model.link_map[link].collisions)
+        for link in (palm, left, right)
+    )
+    faults += [f"{urdf.name}: link {link} has no collision geometry"
+               for link, shapes in zip((palm, left, right), boxes, strict=True) if not shapes]
+    if faults:
+        raise InputError(str(path), faults)
+    return model.get_transform(tcp, mount), boxes
+
+
+def _box(T_tcp_link: Array, collision: Any, urdf: Path, faults: list[str]) -> Box:
+    """A collision element as a box in the TCP frame; a mesh counts as its bounding box."""
+    T_tcp_shape = T_tcp_link if collision.origin is None else T_tcp_link @ collision.origin
+    shape = collision.geometry
+    if shape.box is not None:
+        return Box(readonly(T_tcp_shape), readonly(np.asarray(shape.box.size) / 2))
+    if shape.mesh is None:
+        faults.append(f"{urdf.name}: the collision geometry of a hand must be boxes or meshes")
+        return Box(readonly(np.eye(4)), readonly(np.zeros(3)))
+    import trimesh
+
+    file = urdf.parent / shape.mesh.filename
+    if not file.is_file():
+        faults.append(f"{urdf.name}: mesh {shape.mesh.filename!r} not found, tried {file}")
+        return Box(readonly(np.eye(4)), readonly(np.zeros(3)))
+    low, high = trimesh.load(file, force="mesh").bounds * (1.0 if shape.mesh.scale is None else shape.mesh.scale)
+    return Box(readonly(T_tcp_shape @ make_transform(translation=(low + high) / 2)), readonly((high - low) / 2))

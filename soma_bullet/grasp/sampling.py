@@ -1,0 +1,130 @@
+"""Antipodal grasps on opposite facets (paper Sec. IV-C: find facets, sample them, pair them)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import shapely
+from shapely import affinity
+
+from soma_bullet.assembly.facets import Facet
+from soma_bullet.assembly.workpiece import Workpiece
+from soma_bullet.frames import Array, readonly
+from soma_bullet.grasp.hand import Hand
+
+
+@dataclass(frozen=True)
+class SamplingOptions:
+    """How grasps are sampled.
+
+    Attributes:
+        spacing: largest step of the grid on a facet pair's overlap [m].
+        rolls: hand orientations about the closing axis.
+        smallest_contact: fraction of the pad that must lie on both facets.
+        smallest_width: [m] a thinner piece is not gripped.
+        opening_margin: [m] a side that must remain between the open hand and the piece.
+    """
+
+    spacing: float = 0.006
+    rolls: int = 8
+    smallest_contact: float = 0.3
+    smallest_width: float = 0.002
+    opening_margin: float = 0.004
+
+
+@dataclass(frozen=True, eq=False)
+class GraspSet:
+    """n grasps of one piece.
+
+    Attributes:
+        Ts_piece_tcp: (n, 4, 4); x is the closing axis, z the approach direction.
+        widths: distance between the pads (n,) [m].
+        contact: fraction of the pad on the piece (n,), in 0..1.
+    """
+
+    Ts_piece_tcp: Array
+    widths: Array
+    contact: Array
+
+    def __len__(self) -> int:
+        return len(self.widths)
+
+    def take(self, indices: Array) -> GraspSet:
+        """The grasps at `indices`, in that order."""
+        return GraspSet(*(readonly(field[indices]) for field in (self.Ts_piece_tcp, self.widths, self.contact)))
+
+    @cached_property
+    def centre_distance(self) -> Array:
+        """Distance of the pads' midpoint from the piece's origin (n,) [m]."""
+        return np.linalg.norm(self.Ts_piece_tcp[:, :3, 3], axis=1)
+
+
+def sample_grasps(piece: Workpiece, hand: Hand, options: SamplingOptions | None = None) -> GraspSet:
+    """All antipodal grasps of `piece` that `hand` can close on, whatever is around it.
+
+    The set depends on the piece and the hand alone (a grid, no random numbers), so that qualities of orders compare.
+    """
+    options = options or SamplingOptions()
+    friction = min(piece.friction * hand.pad_friction, 2.0)
+    widest = hand.opening - 2 * options.opening_margin
+    transforms, widths, contacts = [], [], []
+    facets = piece.facets
+    for i, first in enumerate(facets):
+        for second in facets[i + 1 :]:
+            width = first.offset + second.offset  # opposite normals: the distance between the planes
+            angle = np.arccos(np.clip(-first.normal @ second.normal, -1, 1))
+            if angle > np.deg2rad(2.0) or angle > np.arctan(friction):
+                continue
+            if not options.smallest_width <= width <= widest:
+                continue
+            flat = shapely.transform(second.polygon, lambda xy, s=second, f=first: s.lift(xy) @ f.basis.T)
+            overlap = first.polygon.intersection(flat)
+            if overlap.area < 1e-8:
+                continue
+            for points, roll, fraction in _pad_placements(overlap, hand.pad_size, options):
+                rotation = _orientation(first, roll)
+                for point, part in zip(points, fraction, strict=True):
+                    transform = np.eye(4)
+                    transform[:3, :3] = rotation
+                    transform[:3, 3] = first.lift(point[None])[0] - first.normal * width / 2
+                    transforms.append(transform)
+                    widths.append(width)
+                    contacts.append(part)
+    return GraspSet(
+        readonly(np.array(transforms).reshape(-1, 4, 4)), readonly(np.array(widths)), readonly(np.array(contacts))
+    )
+
+
+def _orientation(facet: Facet, roll: float) -> Array:
+    """Columns: closing axis along the facet's normal, and the approach direction at `roll` [rad] in the facet's basis."""
+    approach = np.cos(roll) * facet.basis[0] + np.sin(roll) * facet.basis[1]
+    return np.column_stack([facet.normal, np.cross(approach, facet.normal), approach])
+
+
+def _pad_placements(
+    overlap: shapely.Geometry, pad_size: Array, options: SamplingOptions
+) -> list[tuple[Array, float, Array]]:
+    """For each roll: grid points (k, 2) on the overlap, the roll [rad], and the fraction of the pad that lies on it (k,)."""
+    low, high = np.array(overlap.bounds[:2]), np.array(overlap.bounds[2:])
+    axes = [_ticks(low[k], high[k], options.spacing) for k in range(2)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    grid = grid[shapely.contains_xy(overlap.buffer(1e-7), grid[:, 0], grid[:, 1])]
+    width, height = pad_size  # y and z of the hand
+    pad = shapely.box(-height / 2, -width / 2, height / 2, width / 2)  # drawn with the approach along the first axis
+    placements = []
+    for k in range(options.rolls):
+        roll = 2 * np.pi * k / options.rolls
+        turned = np.array(affinity.rotate(pad, roll, origin=(0, 0), use_radians=True).exterior.coords)
+        pads = shapely.polygons(turned[None] + grid[:, None])
+        fraction = np.round(shapely.area(shapely.intersection(pads, overlap)) / pad.area, 9)
+        good = fraction >= options.smallest_contact
+        placements.append((grid[good], roll, fraction[good]))
+    return placements
+
+
+def _ticks(low: float, high: float, spacing: float) -> Array:
+    """Points of [low, high] at most `spacing` apart, symmetric about the middle, half a step from the ends."""
+    count = max(1, int(np.ceil(round((high - low) / spacing, 6))))
+    return low + (np.arange(count) + 0.5) * (high - low) / count

@@ -1,0 +1,208 @@
+"""Assemblability: how freely a piece goes in, and along which direction (paper Sec. IV-E; nine types).
+
+Contact normals n_i into the piece leave the legal removal directions C = {d : n_i . d >= 0}. The type is (dimension of C,
+dimension of its lineality space); the best direction maximises the smallest n_i . d.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import nnls
+
+from soma_bullet.assembly.contacts import Contact
+from soma_bullet.assembly.hulls import Hull
+from soma_bullet.assembly.separation import swept_separation
+from soma_bullet.frames import Array
+
+Scale = Literal["finite", "ordinal"]
+
+SNAP = np.deg2rad(2.0)  # [rad] normals closer than this are one
+SMALLEST_CLEARANCE = 0.02  # a smaller t* counts as none
+PENETRATION = 1e-4  # [m] a sweep may touch but not enter
+
+TYPES = {
+    (3, 3): "free", (3, 2): "plane", (3, 1): "wedge", (3, 0): "corner", (2, 2): "slot", (2, 1): "slot + bottom",
+    (2, 0): "slot + bottom + wall", (1, 1): "peg through", (1, 0): "peg blind", (0, 0): "locked",
+}  # fmt: skip
+ORDINAL = {
+    "free": np.inf, "plane": 10.0, "wedge": 10.0, "corner": 10.0, "slot": 9.0, "slot + bottom": 3.0,
+    "slot + bottom + wall": 3.0, "peg through": 2.0, "peg blind": 1.0, "locked": 0.0,
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """What a set of contact normals leaves free.
+
+    Attributes:
+        type: one of the nine types of the paper, or `free`.
+        clearance: t* = min n_i . d of the best removal direction, inside the span of the legal directions.
+        best: unit removal direction (3,), or None where the piece is locked.
+        alternatives: further legal removal directions (k, 3), to try when the best is blocked.
+        span: orthonormal basis (m, 3) of the legal directions.
+    """
+
+    type: str
+    clearance: float
+    best: Array | None
+    alternatives: Array
+    span: Array
+
+
+@dataclass(frozen=True)
+class Assemblability:
+    """How one piece goes into a placed set.
+
+    Attributes:
+        type: see Freedom.
+        quality: A, on the chosen scale; 0 where no straight way in exists.
+        direction: unit assembly direction (3,) (the removal direction reversed), or None.
+        blockers: indices of the pieces in the way of the best direction, where it is blocked.
+    """
+
+    type: str
+    quality: float
+    direction: Array | None
+    blockers: tuple[int, ...] = ()
+
+
+def snap_normals(normals: Array) -> Array:
+    """The unit normals (n, 3) without near repeats (k, 3)."""
+    kept: list[Array] = []
+    for normal in normals:
+        if all(normal @ other < np.cos(SNAP) for other in kept):
+            kept.append(normal)
+    return np.array(kept).reshape(-1, 3)
+
+
+def nearest_of_hull(normals: Array) -> Array:
+    """The point (3,) of conv{n_i} nearest to the origin, by non-negative least squares."""
+    heavy = 1e3  # weight of the row that makes the coefficients sum to one
+    weights, _ = nnls(np.vstack([normals.T, heavy * np.ones(len(normals))]), np.array([0.0, 0.0, 0.0, heavy]))
+    return normals.T @ (weights / weights.sum())
+
+
+def analyse_freedom(normals: Array) -> Freedom:
+    """Classify contact normals (n, 3), each pointing into the piece."""
+    normals = snap_normals(np.asarray(normals, float).reshape(-1, 3))
+    span = np.eye(3)
+    lineality = 3 - (np.linalg.matrix_rank(normals, tol=SMALLEST_CLEARANCE) if len(normals) else 0)
+    while len(span) and len(normals):
+        flat = normals @ span.T @ span
+        length = np.linalg.norm(flat, axis=1)
+        flat = flat[length > SMALLEST_CLEARANCE] / length[length > SMALLEST_CLEARANCE, None]
+        if not len(flat):
+            normals = flat
+            break
+        nearest = nearest_of_hull(flat)
+        clearance = float(np.linalg.norm(nearest))
+        if clearance >= SMALLEST_CLEARANCE:
+            best = nearest / clearance
+            return Freedom(
+                TYPES[len(span), min(lineality, len(span))], clearance, best, _alternatives(best, flat, span), span
+            )
+        # the origin lies in the hull: the normals of its face there are equalities, d moves only across them
+        equalities = np.array([n for n in flat if _is_equality(n, flat)])
+        span = _complement(span, equalities if len(equalities) else flat)
+    if not len(span):
+        return Freedom("locked", 0.0, None, np.zeros((0, 3)), span)
+    best = next((d for d in (np.array([0.0, 0.0, 1.0]), *span) if np.linalg.norm(span @ d) > 0.99), span[0])
+    return Freedom(TYPES[len(span), len(span)], 1.0, best, _alternatives(best, np.zeros((0, 3)), span), span)
+
+
+def _is_equality(normal: Array, normals: Array) -> bool:
+    """Whether -normal lies in the cone of the normals, so that every legal d has normal . d = 0."""
+    _, residual = nnls(normals.T, -normal)
+    return bool(residual < SMALLEST_CLEARANCE)
+
+
+def _complement(span: Array, normals: Array) -> Array:
+    """The part of a span (m, 3) that is orthogonal to the normals (k, 3)."""
+    _, singular, right = np.linalg.svd(normals @ span.T)
+    rank = int((singular > SMALLEST_CLEARANCE).sum())
+    return right[rank:] @ span
+
+
+def _alternatives(best: Array, normals: Array, span: Array) -> Array:
+    """Extreme directions of the legal cone, the axes of the frame in it, and midways, nearest to the best first."""
+    candidates = [*np.eye(3), *-np.eye(3), *span, *-span]
+    for i, first in enumerate(normals):
+        for second in normals[i + 1 :]:
+            ray = np.cross(first, second)
+            if np.linalg.norm(ray) > 1e-6:
+                candidates += [ray / np.linalg.norm(ray), -ray / np.linalg.norm(ray)]
+    if len(span) == 2:
+        candidates += [s * np.cross(np.cross(*span), n) for n in normals for s in (1, -1)]
+    legal: list[Array] = []
+    for d in candidates:
+        inside = np.linalg.norm(span @ d) > 0.999 and (not len(normals) or (normals @ d).min() > -1e-6)
+        if inside and all(d @ other < 0.9999 for other in [best, *legal]):
+            legal.append(d)
+    legal += [m / np.linalg.norm(m) for m in [best + d for d in legal] if np.linalg.norm(m) > 0.1]
+    return np.array(sorted(legal, key=lambda d: -round(float(d @ best), 9))).reshape(-1, 3)
+
+
+def finite_quality(kind: str, clearance: float) -> float:
+    """A on the scale of equilibrium mode."""
+    if kind in ("free", "plane"):
+        return 1.0
+    if kind in ("wedge", "corner"):
+        return 0.1 + 0.9 * clearance
+    if kind in ("slot", "slot + bottom"):
+        return 0.1
+    if kind == "slot + bottom + wall":
+        return 0.1 * clearance
+    return 0.05 if kind in ("peg through", "peg blind") else 0.0
+
+
+def analyse_assemblability(
+    contacts: Sequence[Contact], parts: Sequence[Hull], placed_parts: dict[int, Sequence[Hull]], scale: Scale, support: float
+) -> Assemblability:
+    """Best straight way in for a piece.
+
+    Args:
+        contacts: patches with the placed set and the support, normals into the piece.
+        parts: convex parts of the piece at its goal.
+        placed_parts: convex parts of every placed piece at its goal.
+        scale: `finite` or `ordinal` values.
+        support: height of the support plane [m].
+    """
+    normals = np.array([c.normal for c in contacts]).reshape(-1, 3)
+    freedom = analyse_freedom(normals)
+    if freedom.best is None:
+        return Assemblability("locked", 0.0, None, tuple(sorted({c.body_a for c in contacts})))
+    vertices = np.vstack([part.vertices for part in parts])
+    first_blockers: tuple[int, ...] = ()
+    for k, removal in enumerate([freedom.best, *freedom.alternatives]):
+        size = float(np.ptp(vertices @ removal))
+        blockers = sweep_blockers(parts, removal * size, placed_parts, support)
+        if not blockers:
+            clearance = freedom.clearance if k == 0 else _clearance_along(removal, normals, freedom)
+            quality = ORDINAL[freedom.type] if scale == "ordinal" else finite_quality(freedom.type, clearance)
+            return Assemblability(freedom.type, quality, -removal)
+        if k == 0:
+            first_blockers = blockers
+    return Assemblability(freedom.type, 0.0, None, first_blockers)
+
+
+def _clearance_along(removal: Array, normals: Array, freedom: Freedom) -> float:
+    """min n_i . d over the contacts that limit d inside the legal span, 1 where none does."""
+    flat = normals @ freedom.span.T
+    limiting = normals[np.linalg.norm(flat, axis=1) > SMALLEST_CLEARANCE]
+    return float(np.clip((limiting @ removal).min(), 0, 1)) if len(limiting) else 1.0
+
+
+def sweep_blockers(
+    parts: Sequence[Hull], sweep: Array, placed_parts: dict[int, Sequence[Hull]], support: float
+) -> tuple[int, ...]:
+    """Indices of the placed pieces (-1: the support) that parts swept by `sweep` (3,) [m] would enter."""
+    lowest = min(float(part.vertices[:, 2].min()) for part in parts)
+    blockers = [-1] if lowest + min(0.0, sweep[2]) < support - PENETRATION else []
+    for piece, others in placed_parts.items():
+        if swept_separation(parts, sweep, others) < -PENETRATION:
+            blockers.append(piece)
+    return tuple(blockers)

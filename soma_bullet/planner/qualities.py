@@ -1,0 +1,142 @@
+"""The analyzers behind one door: qualities of a step, looked up by (placed set, piece) and computed once.
+
+Qualities depend on the placed set and the piece alone, so that n! orders share a few hundred evaluations.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from soma_bullet.assembly.contacts import SUPPORT
+from soma_bullet.assembly.hulls import Hull
+from soma_bullet.assembly.model import Assembly
+from soma_bullet.frames import Array
+from soma_bullet.grasp.clearance import clear_of_piece, clear_of_scene, sweep_hand
+from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.sampling import GraspSet, SamplingOptions, sample_grasps
+from soma_bullet.planner.assemblability import Assemblability, analyse_assemblability
+from soma_bullet.planner.equilibrium import StateStability, classify, friction_of
+from soma_bullet.planner.paper_stability import contact_wrenches, wrench_margin
+
+Mode = Literal["equilibrium", "paper"]
+Placed = frozenset[int]
+
+
+@dataclass(frozen=True)
+class PlannerOptions:
+    """How the planner judges.
+
+    Attributes:
+        stability: `equilibrium` (the whole placed set at once) or `paper` (one piece against fixed neighbours).
+        hands: hands of the robot; one inserts, the others may hold.
+        seed: breaks exact ties of score.
+        sampling: how grasps are sampled.
+    """
+
+    stability: Mode = "equilibrium"
+    hands: int = 2
+    seed: int = 0
+    sampling: SamplingOptions = SamplingOptions()
+
+
+class Qualities:
+    """S, G and A of every (placed set, piece) of one assembly and one hand; each evaluated at most once."""
+
+    def __init__(self, assembly: Assembly, hand: Hand, options: PlannerOptions):
+        self.assembly, self.hand, self.options = assembly, hand, options
+        self._paper: dict[tuple[int, Placed, float], float] = {}
+        self._stability: dict[tuple[Placed, Placed], StateStability] = {}
+        self._grasps: dict[int, GraspSet] = {}
+        self._clear: dict[tuple[int, int], Array] = {}
+        self._ways: dict[tuple[int, Placed], Assemblability] = {}
+
+    def paper_stability(self, piece: int, placed: Placed, turn: float = 0.0) -> float:
+        """s of `piece` in the placed set (that contains it), by the paper's wrench set. Unit: weights of the piece."""
+        neighbours = frozenset(
+            k for c in self.assembly.contacts if piece in (c.body_a, c.body_b) for k in (c.body_a, c.body_b)
+        )
+        key = (piece, neighbours & placed, turn)
+        if key not in self._paper:
+            contacts = self.assembly.contacts_of(piece, placed)
+            friction = np.array([friction_of(c, self.assembly) for c in contacts])
+            body = self.assembly.pieces[piece]
+            generators = contact_wrenches(contacts, self.assembly.goal_centres[piece], body.radius, friction, turn)
+            self._paper[key] = wrench_margin(generators)
+        return self._paper[key]
+
+    def stability(self, placed: Placed, held: Placed = frozenset()) -> StateStability:
+        """Equilibrium of the placed set with some pieces held."""
+        key = (placed, held & placed)
+        if key not in self._stability:
+            self._stability[key] = classify(self.assembly, placed, held & placed)
+        return self._stability[key]
+
+    def grasps(self, piece: int) -> GraspSet:
+        """Grasps of `piece` alone in the air: closable, with the hand clear of the piece itself and its way out."""
+        if piece not in self._grasps:
+            body = self.assembly.pieces[piece]
+            sampled = sample_grasps(body, self.hand, self.options.sampling)
+            clear = clear_of_piece(self.hand, sampled.Ts_piece_tcp, sampled.widths, body.parts)
+            self._grasps[piece] = sampled.take(np.flatnonzero(clear))
+        return self._grasps[piece]
+
+    def accessible(self, piece: int, placed: Placed) -> Array:
+        """Indices of the grasps of `piece` at its goal whose hand and way out are clear of the placed set and the support."""
+        clear = self._clear_of(piece, SUPPORT).copy()
+        for other in sorted(placed - {piece}):
+            clear &= self._clear_of(piece, other)
+        return np.flatnonzero(clear)
+
+    def graspability(self, piece: int, placed: Placed) -> int:
+        """G: the number of accessible grasps (paper Sec. IV-C)."""
+        return len(self.accessible(piece, placed))
+
+    def assemblability(self, piece: int, placed: Placed) -> Assemblability:
+        """A and the assembly direction of `piece` into the placed set (without it)."""
+        key = (piece, placed)
+        if key not in self._ways:
+            others: dict[int, tuple[Hull, ...]] = {k: self.assembly.goal_parts[k] for k in sorted(placed)}
+            self._ways[key] = analyse_assemblability(
+                self.assembly.contacts_of(piece, placed),
+                self.assembly.goal_parts[piece],
+                others,
+                "ordinal" if self.options.stability == "paper" else "finite",
+                self.assembly.support.height,
+            )
+        return self._ways[key]
+
+    def assisting(self, piece: int, placed: Placed, upcoming: int | None, direction: Array | None) -> Array:
+        """Indices of the grasps that may hold a placed piece while the next one comes in (paper Sec. IV-F).
+
+        They are accessible, and clear of the next piece at its goal and along its whole way in.
+        """
+        indices = self.accessible(piece, placed)
+        if upcoming is None or direction is None or not len(indices):
+            return indices
+        goal = self.assembly.goals[piece]
+        chosen = self.grasps(piece).take(indices)
+        way = way_length(self.assembly, upcoming, direction)
+        # the hand seen from the incoming piece moves along the direction: sweep the hand instead of the piece
+        sweep = sweep_hand(self.hand, goal @ chosen.Ts_piece_tcp, chosen.widths, way_out=0.0, sweep=direction * way)
+        return indices[clear_of_scene(sweep, self.assembly.goal_parts[upcoming], None)]
+
+    def _clear_of(self, piece: int, other: int) -> Array:
+        """Which grasps of `piece` keep the hand and its way out clear of one other piece, or of the support: bool (n,)."""
+        key = (piece, other)
+        if key not in self._clear:
+            grasps, goal = self.grasps(piece), self.assembly.goals[piece]
+            sweep = sweep_hand(self.hand, goal @ grasps.Ts_piece_tcp, grasps.widths)
+            if other == SUPPORT:
+                self._clear[key] = clear_of_scene(sweep, (), self.assembly.support.height)
+            else:
+                self._clear[key] = clear_of_scene(sweep, self.assembly.goal_parts[other], None)
+        return self._clear[key]
+
+
+def way_length(assembly: Assembly, piece: int, direction: Array) -> float:
+    """Length [m] of the straight way in: the piece's own size along the direction."""
+    vertices = np.vstack([part.vertices for part in assembly.goal_parts[piece]])
+    return float(np.ptp(vertices @ direction))

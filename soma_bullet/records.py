@@ -1,0 +1,166 @@
+"""Frozen dataclasses to files and back: JSON for what people read, npz where arrays are large.
+
+Infinity is the string "inf" in JSON. Files are written whole or not at all.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import tempfile
+import zipfile
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+from typing import Any, TypeVar, get_origin
+
+import numpy as np
+from cattrs import Converter
+from cattrs.errors import BaseValidationError
+
+from soma_bullet.errors import InputError
+
+T = TypeVar("T")
+SCHEMA = 1  # of every file that this package writes
+
+_converter = Converter(forbid_extra_keys=True)
+_is_array = lambda kind: kind is np.ndarray or get_origin(kind) is np.ndarray  # noqa: E731
+_converter.register_unstructure_hook_func(_is_array, lambda array: array)
+_converter.register_structure_hook_func(_is_array, lambda value, _: _frozen(value))
+_converter.register_structure_hook(float, lambda value, _: float(value))
+
+
+def _frozen(value: Any) -> np.ndarray:
+    array = np.array(value if isinstance(value, np.ndarray) else _numbers(value))
+    array.setflags(write=False)
+    return array
+
+
+def _numbers(value: Any) -> Any:
+    return [_numbers(v) for v in value] if isinstance(value, list) else float(value) if value in ("inf", "-inf", "nan") else value
+
+
+def to_tree(value: Any) -> Any:
+    """Dicts, lists, numbers and strings (no arrays, no infinities) that stand for a dataclass."""
+    return _plain(_converter.unstructure(value))
+
+
+def _plain(node: Any) -> Any:
+    if isinstance(node, dict):
+        return {str(key): _plain(child) for key, child in node.items()}
+    if isinstance(node, list | tuple | frozenset | set):
+        return [_plain(child) for child in (sorted(node) if isinstance(node, frozenset | set) else node)]
+    if isinstance(node, np.ndarray):
+        return _plain(node.tolist())
+    if isinstance(node, np.generic):
+        return _plain(node.item())
+    if isinstance(node, float) and not math.isfinite(node):
+        return str(node)
+    if isinstance(node, Path):
+        return str(node)
+    return node
+
+
+def write_json(value: Any, path: Path) -> None:
+    """Write a dataclass (or a tree) as indented JSON, keys in the order of the fields."""
+    text = json.dumps({"schema": SCHEMA, **to_tree(value)}, indent=1, ensure_ascii=False, allow_nan=False)
+    _replace(path, lambda file: Path(file).write_text(_compact(text) + "\n", encoding="utf-8"))
+
+
+def _compact(text: str) -> str:
+    """Innermost lists of numbers on one line."""
+    import re
+
+    return re.sub(r"\[\s+([^\[\]{}\"]*?)\s+\]", lambda m: "[" + re.sub(r"\s+", " ", m.group(1)) + "]", text)
+
+
+def read_json(kind: type[T], path: Path) -> T:
+    """Read a dataclass of `kind`. Raises InputError."""
+    try:
+        tree = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise InputError(str(path), f"cannot be read as JSON: {error}") from None
+    return _structure(kind, tree, path)
+
+
+def write_npz(value: Any, path: Path) -> None:
+    """Write a dataclass with its arrays binary and the rest as one JSON string; the same value gives the same bytes."""
+    arrays: dict[str, np.ndarray] = {}
+
+    def walk(node: Any) -> Any:
+        if isinstance(node, dict):
+            return {str(key): walk(child) for key, child in node.items()}
+        if isinstance(node, list | tuple):
+            return [walk(child) for child in node]
+        if isinstance(node, np.ndarray):
+            arrays[f"a{len(arrays):05d}"] = node
+            return {"$array": f"a{len(arrays) - 1:05d}"}
+        return _plain(node)
+
+    tree = {"schema": SCHEMA, **walk(_converter.unstructure(value))}
+    header = np.frombuffer(json.dumps(tree, allow_nan=False).encode(), np.uint8)
+
+    def write(file: str) -> None:
+        with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=4) as archive:
+            for name, array in {"header": header, **arrays}.items():
+                info = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
+                info.compress_type = zipfile.ZIP_DEFLATED
+                with archive.open(info, "w", force_zip64=True) as stream:
+                    np.lib.format.write_array(stream, np.ascontiguousarray(array), allow_pickle=False)
+
+    _replace(path, write)
+
+
+def read_npz(kind: type[T], path: Path) -> T:
+    """Read a dataclass of `kind` from an npz of `write_npz`. Raises InputError."""
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        tree = json.loads(arrays.pop("header").tobytes())
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise InputError(str(path), f"cannot be read as a file of this package: {error}") from None
+
+    def walk(node: Any) -> Any:
+        if isinstance(node, dict):
+            return arrays[node["$array"]] if "$array" in node else {key: walk(child) for key, child in node.items()}
+        return [walk(child) for child in node] if isinstance(node, list) else node
+
+    return _structure(kind, walk(tree), path)
+
+
+def _structure(kind: type[T], tree: Any, path: Path) -> T:
+    if not isinstance(tree, dict) or tree.pop("schema", None) != SCHEMA:
+        raise InputError(str(path), f"is not a schema-{SCHEMA} file of this package")
+    try:
+        return _converter.structure(tree, kind)
+    except (BaseValidationError, ValueError, TypeError, KeyError) as error:
+        from cattrs import transform_error
+
+        raise InputError(str(path), [f"is not a {kind.__name__}: {line}" for line in transform_error(error)]) from None
+
+
+def _replace(path: Path, write: Callable[[str], Any]) -> None:
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    os.close(handle)
+    try:
+        write(temporary)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        os.unlink(temporary)
+        raise
+
+
+def package_versions() -> dict[str, str]:
+    """Versions of this package and of those whose numbers a result depends on."""
+    names = ("soma_bullet", "pybullet", "ompl", "numpy", "scipy", "highspy", "shapely", "pin", "coal", "eaik", "toppra", "trimesh")
+    found = {}
+    for name in names:
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = "not installed"
+    return found

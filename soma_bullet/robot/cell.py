@@ -1,0 +1,502 @@
+"""The cell: arms, hands, table and stand as described in `robots/<cell>/cell.toml`, and the one URDF composed of them.
+
+A further cell is a further folder. Every name of a link or joint in the composed URDF carries its arm's prefix: `left_tool0`.
+"""
+
+from __future__ import annotations
+
+import copy
+import io
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import resources, util
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from soma_bullet.errors import InputError
+from soma_bullet.frames import Array, make_transform, readonly, rotation_about
+from soma_bullet.grasp.hand import Fields, Hand, load_hand, read_toml
+
+# PyBullet takes 1 kg and 1 kg m^2 for a link without an inertial element.
+_TINY_MASS, _TINY_INERTIA = 1e-3, 1e-6  # [kg], [kg m^2]
+
+
+@dataclass(frozen=True)
+class MeshSwap:
+    """Meshes that replace a link's own; `origin` (4, 4) is None where they stand as the link's first one stood."""
+
+    meshes: tuple[Path, ...]
+    origin: Array | None
+
+
+@dataclass(frozen=True)
+class ArmModel:
+    """An arm's URDF and what to change in it; names as in that URDF.
+
+    Attributes:
+        lower, upper [rad]; velocity [rad/s]; acceleration [rad/s^2]; effort [N m]: each (n,), ordered as `joints`.
+        collision, visual, colours: per link, what replaces its meshes, and its rgb (0..1).
+    """
+
+    name: str
+    urdf: Path
+    base_link: str
+    tool_link: str
+    joints: tuple[str, ...]
+    lower: Array
+    upper: Array
+    velocity: Array
+    acceleration: Array
+    effort: Array
+    collision: Mapping[str, MeshSwap]
+    visual: Mapping[str, MeshSwap]
+    colours: Mapping[str, tuple[float, ...]]
+
+
+@dataclass(frozen=True)
+class Arm:
+    """One arm of the cell with its hand. All names are those of the composed URDF.
+
+    Attributes:
+        T_world_base (4, 4): the arm's base link in the world.
+        q_home (n,) [rad], ordered as `joint_names`, as all limits are.
+    """
+
+    name: str
+    model: ArmModel
+    hand: Hand
+    T_world_base: Array
+    q_home: Array
+
+    def prefixed(self, name: str) -> str:
+        """The name in the composed URDF of a link or joint of this arm or of its hand."""
+        return f"{self.name}_{name}"
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        return tuple(self.prefixed(joint) for joint in self.model.joints)
+
+    @property
+    def lower(self) -> Array:
+        """Lower joint limits (n,) [rad]."""
+        return self.model.lower
+
+    @property
+    def upper(self) -> Array:
+        """Upper joint limits (n,) [rad]."""
+        return self.model.upper
+
+    @property
+    def velocity(self) -> Array:
+        """Largest joint velocities (n,) [rad/s]."""
+        return self.model.velocity
+
+    @property
+    def acceleration(self) -> Array:
+        """Largest joint accelerations (n,) [rad/s^2]."""
+        return self.model.acceleration
+
+    @property
+    def effort(self) -> Array:
+        """Largest joint torques (n,) [N m]."""
+        return self.model.effort
+
+    @property
+    def tool_link(self) -> str:
+        """The link that the hand's mount link is fixed to, with the identity."""
+        return self.prefixed(self.model.tool_link)
+
+    @property
+    def tcp_link(self) -> str:
+        return self.prefixed(self.hand.tcp_link)
+
+    @property
+    def finger_joints(self) -> tuple[str, str]:
+        first, second = self.hand.finger_joints
+        return self.prefixed(first), self.prefixed(second)
+
+    @property
+    def finger_links(self) -> tuple[str, str]:
+        first, second = self.hand.finger_links
+        return self.prefixed(first), self.prefixed(second)
+
+
+@dataclass(frozen=True)
+class Slab:
+    """A box of the cell: size (3,) and centre (2,) in x and y [m]; the table's top is z = 0, the stand's bottom."""
+
+    size: Array
+    centre: Array
+    colour: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A described cell; lengths in m, angles in rad.
+
+    Attributes:
+        stand_height, stand_centre (2,): the top of the stand, which the assembly stands on; its width is the assembly's.
+        feed_areas (k, 2, 2): each ((x_min, x_max), (y_min, y_max)) on the table.
+        never_checked: pairs of link names that are not checked for collision, beside joint neighbours.
+    """
+
+    name: str
+    path: Path
+    arms: tuple[Arm, ...]
+    table: Slab
+    stand_height: float
+    stand_centre: Array
+    stand_colour: tuple[float, ...]
+    feed_areas: Array
+    never_checked: tuple[tuple[str, str], ...]
+
+    def arm(self, name: str) -> Arm:
+        """The arm of that name."""
+        for arm in self.arms:
+            if arm.name == name:
+                return arm
+        raise InputError(self.name, f"has no arm {name!r}; it has {', '.join(arm.name for arm in self.arms)}")
+
+    @cached_property
+    def joint_names(self) -> tuple[str, ...]:
+        """All arm joints, arm after arm."""
+        return tuple(name for arm in self.arms for name in arm.joint_names)
+
+    @cached_property
+    def q_home(self) -> Array:
+        """All arms' home, in the order of `joint_names`."""
+        return readonly(np.concatenate([arm.q_home for arm in self.arms]))
+
+
+# --- reading -----------------------------------------------------------------------------------------------------------
+
+
+def cell_folders() -> list[Path]:
+    """Where cells are looked for by name: the installed package, then the checkout."""
+    folders = []
+    if util.find_spec("soma_bullet.robots") is not None:
+        folders.append(Path(str(resources.files("soma_bullet.robots"))))
+    return [*folders, Path(__file__).resolve().parents[2] / "robots"]
+
+
+def _find_cell(name_or_path: str | Path) -> Path:
+    given = Path(name_or_path)
+    tried = [given, given / "cell.toml", *(folder / given / "cell.toml" for folder in cell_folders())]
+    for path in tried:
+        if path.is_file():
+            return path.resolve()
+    names = sorted({path.parent.name for folder in cell_folders() for path in folder.glob("*/cell.toml")})
+    raise InputError(
+        str(name_or_path), f"no such cell; tried {', '.join(map(str, tried))}; known cells: {', '.join(names) or 'none'}"
+    )
+
+
+def load_cell(name_or_path: str | Path) -> Cell:
+    """The cell of a name under `robots/`, of a folder, or of a cell.toml.
+
+    Raises:
+        InputError: with every fault of the file.
+    """
+    path = _find_cell(name_or_path)
+    faults: list[str] = []
+    fields = Fields(read_toml(path), faults)
+    fields.schema()
+    scale = fields.unit()
+    name = fields.text("name")
+
+    models_table = fields.table("arm_models")
+    models = {key: _read_model(key, models_table.table(key), path, scale) for key in models_table.keys()}
+    arms = []
+    for i, item in enumerate(fields.items("arms", "a list of tables, one an arm")):
+        if not isinstance(item, dict):
+            faults.append(f"arms[{i}] = {item!r}: must be a table")
+            continue
+        arm = _read_arm(Fields(item, faults, f"arms[{i}]."), models, path, scale)
+        arms += [arm] if arm else []
+    arm_names = [arm.name for arm in arms]
+    faults += [f"arms: two of them are called {n!r}" for n in sorted(set(arm_names)) if arm_names.count(n) > 1]
+
+    table, stand, feed, collision = (fields.table(key) for key in ("table", "stand", "feed", "collision"))
+    slab = Slab(readonly(table.numbers("size", (3,)) * scale), readonly(table.numbers("centre", (2,)) * scale),
+                _colour(table, "colour"))  # fmt: skip
+    height, centre = stand.number("height") * scale, readonly(stand.numbers("centre", (2,)) * scale)
+    stand_colour = _colour(stand, "colour")
+    areas = readonly(feed.numbers("areas", (-1, 2, 2)) * scale)
+    if (areas[..., 0] >= areas[..., 1]).any():
+        faults.append("feed.areas: each is [[x_min, x_max], [y_min, y_max]] with min below max")
+    pairs = _read_pairs(collision, arm_names)
+    for part in (fields, table, stand, feed, collision):
+        part.close()
+    if faults:
+        raise InputError(str(path), faults)
+    return Cell(name, path, tuple(arms), slab, height, centre, stand_colour, areas, pairs)
+
+
+def _colour(fields: Fields, key: str) -> tuple[float, ...]:
+    rgb = fields.numbers(key, (3,))
+    if ((rgb < 0) | (rgb > 1)).any():
+        fields.faults.append(f"{key} = {rgb.tolist()}: a colour is three numbers from 0 to 1")
+    return tuple(float(c) for c in rgb)
+
+
+def _read_pairs(collision: Fields, arm_names: list[str]) -> tuple[tuple[str, str], ...]:
+    pairs: list[tuple[str, str]] = []
+    for pair in collision.items("never_checked", "a list of pairs of links"):
+        if not (isinstance(pair, list) and len(pair) == 2 and all(isinstance(link, str) for link in pair)):
+            collision.faults.append(f"collision.never_checked: {pair!r} is not a pair of links")
+            continue
+        wild = any("*" in link for link in pair)
+        for name in arm_names if wild else [""]:
+            pairs.append((pair[0].replace("*", name), pair[1].replace("*", name)))
+    return tuple(pairs)
+
+
+def _read_model(name: str, fields: Fields, path: Path, scale: float) -> ArmModel | None:
+    faults = fields.faults
+    before = len(faults)
+    urdf = _package_file(fields.text("package", ""), fields.text("path"), path, faults)
+    base, tool = fields.text("base"), fields.text("tool")
+    joints = fields.texts("joints")
+    acceleration = fields.numbers("acceleration", (len(joints) or -1,))
+    if (acceleration <= 0).any():
+        faults.append(f"arm_models.{name}.acceleration must be positive")
+    swaps = {}
+    for kind in ("collision", "visual"):
+        table = fields.table(kind, optional=True)
+        swaps[kind] = {link: _read_swap(table.table(link), urdf, scale) for link in table.keys()}
+    colours_table = fields.table("colours", optional=True)
+    colours = {link: _colour(colours_table, link) for link in colours_table.keys()}
+    fields.close()
+    if len(faults) > before or urdf is None:
+        return None
+    robot = _parse_urdf(urdf)
+    links, joint_map = {link.name for link in robot.links}, {joint.name: joint for joint in robot.joints}
+    for link in (base, tool, *swaps["collision"], *swaps["visual"], *colours):
+        if link not in links:
+            faults.append(f"arm_models.{name}: {link!r} is not a link of {urdf.name}; it has {', '.join(sorted(links))}")
+    faults += [f"arm_models.{name}.joints: {joint!r} is not a joint with limits in {urdf.name}"
+               for joint in joints if joint not in joint_map or joint_map[joint].limit is None]  # fmt: skip
+    if len(faults) > before:
+        return None
+    lower, upper, velocity, effort = (
+        readonly([getattr(joint_map[joint].limit, key) for joint in joints])
+        for key in ("lower", "upper", "velocity", "effort")
+    )
+    return ArmModel(
+        name, urdf, base, tool, joints, lower, upper, velocity, readonly(acceleration), effort,
+        swaps["collision"], swaps["visual"], colours,
+    )  # fmt: skip
+
+
+def _read_swap(fields: Fields, urdf: Path | None, scale: float) -> MeshSwap:
+    origin = None
+    if "origin" in fields:
+        table = fields.table("origin")
+        rotation = Rotation.from_euler("xyz", np.nan_to_num(table.numbers("rpy_deg", (3,))), degrees=True).as_matrix()
+        origin = readonly(make_transform(rotation, table.numbers("xyz", (3,)) * scale))
+        table.close()
+    meshes = tuple(_mesh_file(mesh, urdf.parent, fields.faults) for mesh in fields.texts("meshes")) if urdf else ()
+    fields.close()
+    return MeshSwap(meshes, origin)
+
+
+def _read_arm(fields: Fields, models: Mapping[str, ArmModel | None], path: Path, scale: float) -> Arm | None:
+    faults = fields.faults
+    name, model_name = fields.text("name"), fields.text("model")
+    if model_name and model_name not in models:
+        faults.append(f"arm {name}: model {model_name!r} is not among arm_models: {', '.join(models) or 'none'}")
+    base = fields.table("base")
+    xyz, yaw = base.numbers("xyz", (3,)) * scale, np.deg2rad(base.number("yaw_deg", positive=False))
+    base.close()
+    hand: Hand | None = None
+    try:
+        hand = load_hand(path.parent / fields.text("hand"))
+    except InputError as error:
+        faults += [f"arm {name}: hand: {fault} ({error.source})" for fault in error.faults]
+    model = models.get(model_name)
+    home = np.deg2rad(fields.numbers("home_deg", (len(model.joints) if model else -1,)))
+    fields.close()
+    if model is None or hand is None:
+        return None
+    for joint, q, low, high in zip(model.joints, home, model.lower, model.upper, strict=False):
+        if not low <= q <= high and not np.isnan(q):
+            faults.append(f"arm {name}: home_deg of {joint} = {np.rad2deg(q):g} is outside "
+                          f"[{np.rad2deg(low):g}, {np.rad2deg(high):g}]")  # fmt: skip
+    T_world_base = make_transform(rotation_about((0, 0, 1), yaw), xyz)
+    return Arm(name, model, hand, readonly(T_world_base), readonly(home))
+
+
+def _package_file(package: str, file: str, path: Path, faults: list[str]) -> Path | None:
+    """A file of an installed package, or beside the cell's file."""
+    if not package:
+        found: Path = path.parent / file
+    else:
+        spec = util.find_spec(package) if package.isidentifier() else None
+        if spec is None or not spec.submodule_search_locations:
+            faults.append(f"package {package!r} is not installed")
+            return None
+        found = Path(next(iter(spec.submodule_search_locations))) / file
+    if not found.is_file():
+        faults.append(f"path: no file {found}")
+        return None
+    return found.resolve()
+
+
+def _mesh_file(mesh: str, folder: Path, faults: list[str]) -> Path:
+    """The absolute path of a mesh that a URDF in `folder` names; `package://a/b` is looked up as package and as folder."""
+    tried = [folder / mesh]
+    if mesh.startswith("package://"):
+        package, _, rest = mesh.removeprefix("package://").partition("/")
+        spec = util.find_spec(package) if package.isidentifier() else None
+        roots = [Path(p) for p in (spec.submodule_search_locations or ())] if spec else []
+        tried = [root / rest for root in roots] + [parent / package / rest for parent in folder.parents] + [folder / rest]
+    for file in tried:
+        if file.is_file():
+            return file.resolve()
+    faults.append(f"mesh {mesh!r} not found; tried {', '.join(map(str, tried))}")
+    return tried[0]
+
+
+def _parse_urdf(urdf: Path) -> Any:
+    """The yourdfpy `Robot` of a file."""
+    import yourdfpy
+
+    # Drake's attributes have no declared namespace, which an XML parser refuses.
+    text = re.sub(r'\sdrake:\w+="[^"]*"', "", urdf.read_text(encoding="utf-8"))
+    try:
+        return yourdfpy.URDF.load(io.BytesIO(text.encode()), build_scene_graph=False, load_meshes=False).robot
+    except Exception as error:  # yourdfpy passes on whatever its XML library raises
+        raise InputError(str(urdf), f"cannot be read as URDF: {error}") from None
+
+
+# --- composing ---------------------------------------------------------------------------------------------------------
+
+
+def compose_urdf(cell: Cell, stand_size_xy: tuple[float, float], path_out: Path, visuals: bool = True) -> Path:
+    """Writes the whole cell as one URDF: `world`, `table`, `stand`, then each arm and its hand under the arm's prefix.
+
+    Args:
+        stand_size_xy: the stand's footprint [m], from the assembly's.
+        visuals: without them the file loads faster and shows nothing but table and stand.
+
+    Raises:
+        InputError: with every mesh that is not found, and all places tried; or with names that collide.
+    """
+    import yourdfpy
+    from lxml import etree
+    from yourdfpy import urdf as u
+
+    faults: list[str] = []
+    stand_size = np.array((*stand_size_xy, cell.stand_height))
+    if (stand_size <= 0).any():
+        faults.append(f"stand_size_xy = {stand_size_xy}: must be positive")
+    robot = u.Robot(name=cell.name, links=[u.Link(name="world", inertial=_tiny())])
+    _add_box(robot, "table", cell.table.size, (*cell.table.centre, -cell.table.size[2] / 2), cell.table.colour)
+    _add_box(robot, "stand", stand_size, (*cell.stand_centre, cell.stand_height / 2), cell.stand_colour)
+    for arm in cell.arms:
+        part = _prepared(arm, faults)
+        _append(robot, part, arm.name, "world", arm.prefixed(arm.model.base_link), arm.T_world_base)
+        hand = _parse_urdf(arm.hand.urdf)
+        _finish_links(hand, arm.hand.urdf.parent, faults)
+        _append(robot, hand, arm.name, arm.tool_link, arm.prefixed(arm.hand.mount_link), np.eye(4))
+    names = [link.name for link in robot.links]
+    faults += [f"link {name} would be there twice" for name in sorted(set(names)) if names.count(name) > 1]
+    faults += [f"collision.never_checked: {link!r} is not a link of the cell"
+               for link in sorted({link for pair in cell.never_checked for link in pair} - set(names))]  # fmt: skip
+    if faults:
+        raise InputError(str(cell.path), faults)
+    if not visuals:
+        for link in robot.links:
+            link.visuals = [] if link.name not in ("table", "stand") else link.visuals
+    path_out.parent.mkdir(parents=True, exist_ok=True)
+    model = yourdfpy.URDF(robot=robot, build_scene_graph=False, load_meshes=False)
+    # PyBullet garbles lines of several kB: one element a line.
+    path_out.write_bytes(etree.tostring(model.write_xml(), xml_declaration=True, encoding="utf-8", pretty_print=True))
+    return path_out
+
+
+def _tiny() -> Any:
+    from yourdfpy import urdf as u
+
+    return u.Inertial(origin=np.eye(4), mass=_TINY_MASS, inertia=np.eye(3) * _TINY_INERTIA)
+
+
+def _material(name: str, rgb: tuple[float, ...]) -> Any:
+    from yourdfpy import urdf as u
+
+    return u.Material(name=name, color=u.Color(rgba=np.array((*rgb, 1.0))))
+
+
+def _add_box(robot: Any, name: str, size: Array, centre: tuple[float, ...], rgb: tuple[float, ...]) -> None:
+    from yourdfpy import urdf as u
+
+    shape = u.Geometry(box=u.Box(size=np.asarray(size)))
+    robot.links.append(u.Link(
+        name=name, inertial=_tiny(), collisions=[u.Collision(name=None, origin=np.eye(4), geometry=shape)],
+        visuals=[u.Visual(origin=np.eye(4), geometry=shape, material=_material(f"{name}_colour", rgb))],
+    ))  # fmt: skip
+    robot.joints.append(u.Joint(
+        name=f"{name}_joint", type="fixed", parent="world", child=name, origin=make_transform(translation=centre)
+    ))  # fmt: skip
+
+
+def _prepared(arm: Arm, faults: list[str]) -> Any:
+    """The arm's own URDF with the meshes replaced and the colours set, names still without prefix."""
+    from yourdfpy import urdf as u
+
+    model = arm.model
+    robot = _parse_urdf(model.urdf)
+    for link in robot.links:
+        if link.name in model.collision:
+            swap, old = model.collision[link.name], link.collisions
+            origin = swap.origin if swap.origin is not None else old[0].origin if old else np.eye(4)
+            link.collisions = [u.Collision(name=None, origin=origin, geometry=_mesh(file)) for file in swap.meshes]
+        if link.name in model.visual:
+            swap, old = model.visual[link.name], link.visuals
+            origin = swap.origin if swap.origin is not None else old[0].origin if old else np.eye(4)
+            link.visuals = [u.Visual(origin=origin, geometry=_mesh(file)) for file in swap.meshes]
+        for visual in link.visuals:
+            if link.name in model.colours:
+                visual.material = _material(f"{link.name}_colour", model.colours[link.name])
+    _finish_links(robot, model.urdf.parent, faults)
+    return robot
+
+
+def _mesh(file: Path) -> Any:
+    from yourdfpy import urdf as u
+
+    return u.Geometry(mesh=u.Mesh(filename=str(file)))
+
+
+def _finish_links(robot: Any, folder: Path, faults: list[str]) -> None:
+    """Absolute mesh paths, an inertial for every link, materials spelled out where they are used."""
+    materials = {material.name: material for material in robot.materials}
+    for link in robot.links:
+        link.inertial = link.inertial or _tiny()
+        for shape in (*link.visuals, *link.collisions):
+            if shape.geometry.mesh is not None:
+                shape.geometry.mesh.filename = str(_mesh_file(shape.geometry.mesh.filename, folder, faults))
+        for visual in link.visuals:
+            if visual.material is not None and visual.material.color is None:
+                visual.material = materials.get(visual.material.name, visual.material)
+
+
+def _append(robot: Any, part: Any, prefix: str, parent: str, root: str, T_parent_root: Array) -> None:
+    """Adds a robot to another under a prefix, its root link fixed to `parent`."""
+    from yourdfpy import urdf as u
+
+    robot.joints.append(u.Joint(name=f"{root}_joint", type="fixed", parent=parent, child=root, origin=np.array(T_parent_root)))
+    for link in copy.deepcopy(part.links):
+        link.name = f"{prefix}_{link.name}"
+        for visual in link.visuals:
+            if visual.material is not None:
+                visual.material.name = f"{prefix}_{visual.material.name}"
+        robot.links.append(link)
+    for joint in copy.deepcopy(part.joints):
+        joint.name, joint.parent, joint.child = (f"{prefix}_{n}" for n in (joint.name, joint.parent, joint.child))
+        robot.joints.append(joint)
