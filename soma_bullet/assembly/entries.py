@@ -123,22 +123,30 @@ def _color(value: Any, _: Any) -> Color:
     raise ValueError(f'must be "#rrggbb" or three numbers from 0 to 1, not {value!r}')
 
 
-CONVERTER = Converter(forbid_extra_keys=True)
-CONVERTER.register_structure_hook(float, _number)
-CONVERTER.register_structure_hook(str, _text)
-CONVERTER.register_structure_hook_func(lambda kind: kind == Numbers, _numbers)
-CONVERTER.register_structure_hook_func(lambda kind: kind is Color, _color)
+def _converter(forbid_extra_keys: bool) -> Converter:
+    converter = Converter(forbid_extra_keys=forbid_extra_keys)
+    converter.register_structure_hook(float, _number)
+    converter.register_structure_hook(str, _text)
+    converter.register_structure_hook_func(lambda kind: kind == Numbers, _numbers)
+    converter.register_structure_hook_func(lambda kind: kind is Color, _color)
+    return converter
+
+
+STRICT, LENIENT = _converter(True), _converter(False)
 
 
 def _structure(raw: Any, kind: type, where: str, faults: list[str]) -> Any:
-    """`raw` as a `kind`, or None with what is wrong added to `faults`."""
+    """`raw` as a `kind` with what is wrong added to `faults`; None where more is wrong than keys too many."""
     if not isinstance(raw, Mapping):
         faults.append(f"{where}: must be a table, not {raw!r}")
         return None
     try:
-        return CONVERTER.structure(raw, kind)
+        return STRICT.structure(raw, kind)
     except BaseValidationError as error:
         faults += _explain(error, where)
+    try:
+        return LENIENT.structure(raw, kind)
+    except BaseValidationError:
         return None
 
 
@@ -179,6 +187,8 @@ def parse_entries(raw: Mapping[str, Any], faults: list[str]) -> tuple[FileEntry 
     if head is not None and head.unit not in UNITS:
         faults.append(f"unit {head.unit!r} is unknown; it is one of {', '.join(UNITS)}")
         head = None
+    elif head is None:
+        head = _stand_in(raw)
     if head is not None:
         faults += _name_faults("the file", head.name)
         faults += _value_faults("[support]", None, head.support.friction, None)
@@ -200,6 +210,15 @@ def parse_entries(raw: Mapping[str, Any], faults: list[str]) -> tuple[FileEntry 
         else:
             faults.append(f"{where}: mesh_unit {entry.mesh_unit!r} is unknown; it is one of {', '.join(UNITS)}")
     return head, entries
+
+
+def _stand_in(raw: Mapping[str, Any]) -> FileEntry | None:
+    """What can be read of a faulty head, so that the pieces can be looked at as well; None without a unit."""
+    if not isinstance(raw.get("unit"), str) or raw["unit"] not in UNITS:
+        return None
+    support = _structure(raw.get("support", {}), SupportEntry, "", [])
+    defaults = _structure(raw.get("defaults", {}), DefaultsEntry, "", [])
+    return FileEntry("unnamed", raw["unit"], support or SupportEntry(height=-math.inf), defaults or DefaultsEntry())
 
 
 def goal_pose(entry: PieceEntry, scale: float) -> Array:

@@ -34,7 +34,7 @@ from pathlib import Path
 from typing import Any
 
 from soma_bullet.assembly.checks import goal_faults, piece_faults
-from soma_bullet.assembly.entries import UNITS, Faults, FileEntry, PieceEntry, goal_pose, parse_entries
+from soma_bullet.assembly.entries import UNITS, Faults, PieceEntry, goal_pose, parse_entries
 from soma_bullet.assembly.mesh_file import read_mesh
 from soma_bullet.assembly.model import Assembly, Support
 from soma_bullet.assembly.workpiece import Workpiece
@@ -61,13 +61,13 @@ def load_assembly(path_or_name: str | Path) -> Assembly:
             pieces.append(loaded[0])
             goals.append(goal)
             hashes.append(asdict(entry) | {"mesh": loaded[1]})
-    content = json.dumps({"name": head.name, "unit": head.unit, "support": asdict(head.support), "pieces": hashes}, sort_keys=True)
+    content = {"name": head.name, "unit": head.unit, "support": asdict(head.support), "pieces": hashes}
     assembly = Assembly(
         name=head.name,
         pieces=tuple(pieces),
         goals=readonly(goals).reshape(-1, 4, 4),
         support=Support(head.support.height * UNITS[head.unit], head.support.friction),
-        digest=hashlib.sha256(content.encode()).hexdigest(),
+        digest=hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest(),
     )
     # where a piece is missing, its neighbours would seem to float
     faults += goal_faults(assembly, whole=not faults)

@@ -31,14 +31,14 @@ def read_mesh(folder: Path, name: str, scale: float, where: str) -> tuple[Array,
         hint = "".join(f"; did you mean {word!r}?" for word in near)
         raise Faults(f"{where}: mesh {name!r} is no file; tried {path.absolute()}{hint}")
     try:
-        mesh = trimesh.load_mesh(path, process=True)
+        mesh = trimesh.load_mesh(path, process=False)
     except Exception as error:  # trimesh's readers raise whatever they stumble over
         raise Faults(f"{where}: mesh {name!r} cannot be read: {type(error).__name__}: {error}") from error
     if not isinstance(mesh, trimesh.Trimesh) or not len(mesh.faces):
         raise Faults(f"{where}: mesh {name!r} has no triangles")
     if not np.isfinite(mesh.vertices).all():
         count = int((~np.isfinite(mesh.vertices)).any(axis=1).sum())
-        raise Faults(f"{where}: mesh {name!r} has {count} vertices that are not finite")
+        raise Faults(f"{where}: mesh {name!r} has {count} corners that are not finite")
     # formats that store a normal or a texture coordinate by corner split the vertices that close the surface
     mesh.merge_vertices(merge_tex=True, merge_norm=True)
     faces = np.asarray(mesh.faces)

@@ -1,0 +1,204 @@
+"""Collision checks for planning: both arms, hands, pieces, table and stand, with coal on pinocchio's geometry.
+
+A `Scene` is one situation: where the pieces are, what a hand carries, which arm moves, which contacts are meant.
+Bodies are called by their link (`left_palm`, `table`, `stand`) or by their piece.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from soma_bullet.assembly.hulls import Hull
+from soma_bullet.frames import Array
+from soma_bullet.robot.kinematics import Robot
+
+MARGIN = 2e-3  # [m] kept between bodies that are not meant to touch
+NEAR_MARGIN = 5e-4  # [m] kept between a hand or what it carries and pieces: the hand works among them
+TOUCH_MARGIN = -5e-5  # [m] bodies that are meant to touch may overlap by this
+
+
+@dataclass(frozen=True, eq=False)
+class Situation:
+    """What a scene needs to know.
+
+    Attributes:
+        poses: T_world_piece (4, 4) of the pieces that lie or stand somewhere.
+        carried: piece -> (arm index, T_tcp_piece) of the pieces in hands that move with them.
+        moving: indices of the arms that move.
+        gripped: piece -> arm index of pieces between the fingers of a hand (carried or held in place).
+        touching: unordered pairs of bodies that are meant to touch.
+    """
+
+    poses: Mapping[str, Array]
+    moving: frozenset[int]
+    carried: Mapping[str, tuple[int, Array]] = field(default_factory=dict)
+    gripped: Mapping[str, int] = field(default_factory=dict)
+    touching: frozenset[frozenset[str]] = frozenset()
+
+
+class CollisionModel:
+    """Geometry of a robot and of the pieces that it works on; makes scenes."""
+
+    def __init__(self, robot: Robot, pieces: Mapping[str, Sequence[Hull]]):
+        self.robot = robot
+        self.geometry = robot.geometry.copy()
+        for shape in self.geometry.geometryObjects:
+            if isinstance(shape.geometry, coal.BVHModelBase):
+                shape.geometry.buildConvexRepresentation(True)
+                shape.geometry = shape.geometry.convex
+        self.bodies = [robot.model.frames[shape.parentFrame].name for shape in self.geometry.geometryObjects]
+        self.piece_shapes: dict[str, list[tuple[int, pin.SE3]]] = {}
+        for name, parts in pieces.items():
+            self.piece_shapes[name] = [self._add_part(f"{name}/{k}", part) for k, part in enumerate(parts)]
+            self.bodies += [name] * len(parts)
+        self.arm_of = [self._arm_of(body) for body in self.bodies]
+        self.hand_links = {
+            link for arm in robot.cell.arms for link in (*arm.finger_links, arm.prefixed(arm.hand.palm_link))
+        }
+        self.robot_pairs = self._robot_pairs()
+
+    def _add_part(self, name: str, part: Hull) -> tuple[int, pin.SE3]:
+        if part.box is not None:
+            centre, axes, half = part.box
+            right = axes * np.sign(np.linalg.det(axes))
+            shape, place = coal.Box(*(2 * half)), pin.SE3(np.ascontiguousarray(right.T), centre)
+        else:
+            points = coal.StdVec_Vec3s()
+            for vertex in part.vertices:
+                points.append(vertex)
+            shape, place = coal.Convex.convexHull(points, True, ""), pin.SE3.Identity()
+        index = self.geometry.addGeometryObject(pin.GeometryObject(name, 0, place, shape))
+        return int(index), place
+
+    def _arm_of(self, body: str) -> int | None:
+        if body in ("table", "stand") or body in self.piece_shapes:
+            return None
+        return next(k for k, arm in enumerate(self.robot.cell.arms) if body.startswith(f"{arm.name}_"))
+
+    def _robot_pairs(self) -> list[tuple[int, int]]:
+        """Pairs of robot, table and stand shapes that can collide at all."""
+        never = {frozenset(pair) for pair in self.robot.cell.never_checked}
+        model, shapes = self.robot.model, self.geometry.geometryObjects
+        count = len(shapes) - sum(len(parts) for parts in self.piece_shapes.values())
+        pairs = []
+        for a in range(count):
+            for b in range(a + 1, count):
+                i, j = shapes[a].parentJoint, shapes[b].parentJoint
+                # the world is a neighbour of no joint, except that an arm's own base is its shoulder's
+                neighbours = i == j or ((i == model.parents[j] or j == model.parents[i]) and (0 not in (i, j) or self.arm_of[a] == self.arm_of[b]))
+                if not neighbours and frozenset((self.bodies[a], self.bodies[b])) not in never:
+                    pairs.append((a, b))
+        return pairs
+
+    def scene(self, situation: Situation) -> Scene:
+        """The scene of a situation."""
+        return Scene(self, situation)
+
+
+class Scene:
+    """Collision checks in one situation. Configurations are those of `Robot.configuration`."""
+
+    def __init__(self, model: CollisionModel, situation: Situation):
+        self.collision_model, self.situation = model, situation
+        self.robot = model.robot
+        self.geometry = model.geometry.copy()
+        self._tcp_joint = [self.robot.model.frames[f].parentJoint for f in self.robot._tcp_frames]
+        self._tcp_place = [self.robot.model.frames[f].placement for f in self.robot._tcp_frames]
+        self.geometry.removeAllCollisionPairs()
+        self._broad_phase: pin.BroadPhaseManager_DynamicAABBTreeCollisionManager | None = None
+        for name, pose in situation.poses.items():
+            self._place(name, 0, pin.SE3(np.array(pose)))
+        for name, (arm, T_tcp_piece) in situation.carried.items():
+            self.attach(name, arm, T_tcp_piece)
+        margins = []
+        for a, b in [*model.robot_pairs, *self._piece_pairs()]:
+            margin = self._margin(a, b)
+            if margin is not None:
+                self.geometry.addCollisionPair(pin.CollisionPair(a, b))
+                margins.append(margin)
+        self.data = self.robot.model.createData()
+        self.geometry_data = self.geometry.createData()
+        for request, margin in zip(self.geometry_data.collisionRequests, margins, strict=True):
+            request.security_margin = margin
+            request.num_max_contacts = 1
+        self._margins = np.array(margins)
+
+    def attach(self, piece: str, arm: int, T_tcp_piece: Array) -> None:
+        """Put a piece between the fingers of an arm's hand at T_tcp_piece (4, 4)."""
+        self._place(piece, self._tcp_joint[arm], self._tcp_place[arm] * pin.SE3(np.array(T_tcp_piece)))
+
+    def _place(self, piece: str, joint: int, pose: pin.SE3) -> None:
+        for index, place in self.collision_model.piece_shapes[piece]:
+            shape = self.geometry.geometryObjects[index]
+            shape.parentJoint = joint
+            shape.placement = pose * place
+        self._broad_phase = None
+
+    def _present(self) -> list[str]:
+        return [*self.situation.poses, *self.situation.carried]
+
+    def _piece_pairs(self) -> list[tuple[int, int]]:
+        model, carried = self.collision_model, self.situation.carried
+        robot_count = len(model.bodies) - sum(len(parts) for parts in model.piece_shapes.values())
+        pairs = []
+        present = self._present()
+        for k, name in enumerate(present):
+            for index, _ in model.piece_shapes[name]:
+                pairs += [(body, index) for body in range(robot_count)]
+                for other in present[k + 1 :]:
+                    if name in carried or other in carried:
+                        pairs += [(index, second) for second, _ in model.piece_shapes[other]]
+        return pairs
+
+    def _mover(self, index: int) -> int | None:
+        """The arm with which a shape moves."""
+        body = self.collision_model.bodies[index]
+        carried = self.situation.carried.get(body)
+        return carried[0] if carried is not None else self.collision_model.arm_of[index]
+
+    def _margin(self, a: int, b: int) -> float | None:
+        """Margin [m] of a pair; None where it need not be checked: both at rest, or a hand and what it grips."""
+        moving = self.situation.moving
+        movers = {self._mover(a), self._mover(b)}
+        if not movers & moving or (len(movers) == 1 and self._rigid(a, b)):
+            return None
+        names = frozenset((self.collision_model.bodies[a], self.collision_model.bodies[b]))
+        for piece, arm in self.situation.gripped.items():
+            if piece in names:
+                other = next(iter(names - {piece}), piece)
+                if other in self.collision_model.hand_links and other.startswith(self.robot.arm(arm).name + "_"):
+                    return None
+        if names in self.situation.touching:
+            return TOUCH_MARGIN
+        pieces = names & set(self.collision_model.piece_shapes)
+        hands = names & self.collision_model.hand_links
+        return NEAR_MARGIN if len(pieces) == 2 or (pieces and hands) else MARGIN
+
+    def _rigid(self, a: int, b: int) -> bool:
+        """Whether two shapes hang on the same joint."""
+        shapes = self.geometry.geometryObjects
+        return bool(shapes[a].parentJoint == shapes[b].parentJoint)
+
+    def collides(self, configuration: Array) -> bool:
+        """Whether anything that moves comes nearer than its margin to anything else."""
+        if self._broad_phase is None:
+            self._broad_phase = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(
+                self.robot.model, self.geometry, self.geometry_data
+            )
+        return bool(pin.computeCollisions(self.robot.model, self.data, self._broad_phase, configuration, True))
+
+    def colliding(self, configuration: Array) -> list[tuple[str, str, float]]:
+        """The pairs of bodies that are too near, with their distance [m], nearest first."""
+        pin.computeDistances(self.robot.model, self.data, self.geometry, self.geometry_data, configuration)
+        distances = np.array([result.min_distance for result in self.geometry_data.distanceResults])
+        found: dict[tuple[str, str], float] = {}
+        for k in np.flatnonzero(distances < self._margins):
+            pair = self.geometry.collisionPairs[int(k)]
+            names = (self.collision_model.bodies[pair.first], self.collision_model.bodies[pair.second])
+            found[names] = min(found.get(names, np.inf), float(distances[k]))
+        return sorted(((a, b, d) for (a, b), d in found.items()), key=lambda item: item[2])

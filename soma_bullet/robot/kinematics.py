@@ -1,0 +1,113 @@
+"""Forward kinematics by pinocchio, inverse kinematics of each arm by EAIK (all branches, in closed form)."""
+
+from __future__ import annotations
+
+import tempfile
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from eaik.IK_HP import HPRobot
+
+from soma_bullet.frames import Array, readonly
+from soma_bullet.robot.cell import Arm, Cell, compose_urdf
+
+FK_ERROR = 1e-6  # [m, and rad] an inverse-kinematics branch that misses its pose by more is dropped
+
+
+class Robot:
+    """The cell's arms as one kinematic model.
+
+    Configurations: `q` (6,) is one arm's joints; `qs` (arms, 6) all arms'; `openings` (arms,) the distances between the pads [m].
+    """
+
+    def __init__(self, cell: Cell, stand_size: tuple[float, float]):
+        self.cell = cell
+        self.stand_size = stand_size
+        with tempfile.TemporaryDirectory() as folder:
+            urdf = str(compose_urdf(cell, stand_size, Path(folder) / "cell.urdf", visuals=False))
+            self.model = pin.buildModelFromUrdf(urdf)
+            self.geometry = pin.buildGeomFromUrdf(self.model, urdf, pin.GeometryType.COLLISION)
+        self.data = self.model.createData()
+        self._arm_slots = [[self._slot(name) for name in arm.joint_names] for arm in cell.arms]
+        self._finger_slots = [[self._slot(name) for name in arm.finger_joints] for arm in cell.arms]
+        self._tcp_frames = [self.model.getFrameId(arm.tcp_link) for arm in cell.arms]
+        self._solvers = [self._solver(k) for k in range(len(cell.arms))]
+
+    def _slot(self, joint: str) -> int:
+        return int(self.model.joints[self.model.getJointId(joint)].idx_q)
+
+    def arm_index(self, arm: str) -> int:
+        """Index of the arm of that name."""
+        return [a.name for a in self.cell.arms].index(arm)
+
+    def arm(self, index: int) -> Arm:
+        """The arm's description."""
+        return self.cell.arms[index]
+
+    @cached_property
+    def home(self) -> Array:
+        """Home of all arms (arms, 6) [rad]."""
+        return readonly([arm.q_home for arm in self.cell.arms])
+
+    @cached_property
+    def closed(self) -> Array:
+        """Openings (arms,) of closed hands [m]."""
+        return readonly(np.zeros(len(self.cell.arms)))
+
+    def configuration(self, qs: Array, openings: Array) -> Array:
+        """pinocchio's vector for joints (arms, 6) and openings (arms,)."""
+        q = np.zeros(self.model.nq)
+        for arm, (slots, fingers) in enumerate(zip(self._arm_slots, self._finger_slots, strict=True)):
+            q[slots] = qs[arm]
+            q[fingers] = openings[arm] / 2
+        return q
+
+    def arm_slots(self, arm: int) -> list[int]:
+        """Where one arm's joints stand in pinocchio's vector."""
+        return self._arm_slots[arm]
+
+    def tcp(self, arm: int, q: Array) -> Array:
+        """T_world_tcp (4, 4) of one arm at its joints (6,)."""
+        full = np.zeros(self.model.nq)
+        full[self._arm_slots[arm]] = q
+        pin.framesForwardKinematics(self.model, self.data, full)
+        return np.array(self.data.oMf[self._tcp_frames[arm]].homogeneous)
+
+    def inverse(self, arm: int, T_world_tcp: Array, reference: Array) -> Array:
+        """All joint vectors (k, 6) that reach a TCP pose (4, 4), each wrapped to the turn nearest to `reference` (6,), nearest first."""
+        solver, rotation_home = self._solvers[arm]
+        pose = np.array(T_world_tcp)
+        pose[:3, :3] = pose[:3, :3] @ rotation_home.T
+        found = np.asarray(solver.IK(pose).Q, float).reshape(-1, 6)
+        limits = self.arm(arm)
+        kept: list[Array] = []
+        for q in found:
+            if not np.isfinite(q).all():
+                continue
+            q = nearest_turn(q, reference, limits.lower, limits.upper)
+            if q is None or any(np.abs(q - other).max() < 1e-6 for other in kept):
+                continue
+            if np.abs(self.tcp(arm, q) - T_world_tcp).max() < FK_ERROR:
+                kept.append(q)
+        return np.array(sorted(kept, key=lambda q: round(float(np.abs(q - reference).max()), 9))).reshape(-1, 6)
+
+    def _solver(self, arm: int) -> tuple[HPRobot, Array]:
+        """EAIK's robot from the joint axes at zero, in the world frame, and the TCP's rotation there."""
+        pin.framesForwardKinematics(self.model, self.data, np.zeros(self.model.nq))
+        joints = [self.model.getJointId(name) for name in self.arm(arm).joint_names]
+        places = [np.array(self.data.oMi[j].homogeneous) for j in joints]
+        tcp = np.array(self.data.oMf[self._tcp_frames[arm]].homogeneous)
+        axes = np.array([place[:3, 2] for place in places])
+        origins = np.array([np.zeros(3), *(place[:3, 3] for place in places), tcp[:3, 3]])
+        return HPRobot(axes, np.diff(origins, axis=0)), tcp[:3, :3]
+
+
+def nearest_turn(q: Array, reference: Array, lower: Array, upper: Array) -> Array | None:
+    """q (6,) shifted by whole turns to lie nearest to `reference` within the limits; None where no turn is within."""
+    turned = reference + (q - reference + np.pi) % (2 * np.pi) - np.pi
+    turned = np.where(turned > upper, turned - 2 * np.pi, np.where(turned < lower, turned + 2 * np.pi, turned))
+    return None if np.any(turned > upper) or np.any(turned < lower) else turned
+
+

@@ -1,0 +1,374 @@
+"""Pictures of the cell: a studio of its own that is told joint values and poses, and knows nothing of physics.
+
+It renders after the fact, from a log: any camera, any speed, several processes. It uses OpenGL where there is EGL, also without
+a GPU; elsewhere PyBullet's own software renderer, which is some five times slower.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from importlib import util
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from soma_bullet.errors import InputError
+from soma_bullet.frames import Array, to_quat_xyzw
+from soma_bullet.sim import look
+
+Frame = NDArray[np.uint8]
+
+_NEAR, _FAR = 0.05, 12.0  # [m]
+_FLOOR_Z = -0.74  # [m] the table top is z = 0
+_AWAY = (0.0, 0.0, -100.0)  # where what is not shown waits
+_FOG = (2.2, 5.5)  # [m] the floor fades into the backdrop between these distances
+_BACKDROP = (np.array((0.97, 0.975, 0.98)), np.array((0.80, 0.825, 0.855)))  # top and bottom of the picture
+
+
+@dataclass(frozen=True)
+class PieceVisual:
+    """A piece as it looks: vertices (v, 3) [m] in its own frame, faces (f, 3), rgb 0..1."""
+
+    name: str
+    vertices: Array
+    faces: NDArray[np.int64]
+    rgb: look.Colour
+
+
+@dataclass(frozen=True)
+class Arrow:
+    """A direction to show: from `start` (3,) [m] along `direction` (3,), `length` long [m]."""
+
+    start: ArrayLike
+    direction: ArrayLike
+    length: float = 0.06
+    rgb: look.Colour = look.ARROW
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera that orbits `target`: distance [m]; yaw, pitch and vertical fov [deg], pitch negative from above.
+
+    Yaw 0 looks along +y: the left arm is on the left.
+    """
+
+    target: tuple[float, float, float]
+    distance: float
+    yaw: float
+    pitch: float
+    fov: float = 35.0
+
+    def orbited(self, angle: float) -> Camera:
+        """The same camera, `angle` [deg] further round."""
+        return replace(self, yaw=self.yaw + angle)
+
+    def swaying(self, phase: float, amplitude: float = 12.0) -> Camera:
+        """The camera at a phase (0..1) of a slow sway of +-`amplitude` [deg]."""
+        return self.orbited(amplitude * math.sin(2 * math.pi * phase))
+
+
+CAMERAS: Mapping[str, Camera] = {
+    "front": Camera((0.0, 0.0, 0.20), 1.75, 0.0, -22.0),
+    "three_quarter": Camera((0.0, 0.0, 0.16), 1.80, 32.0, -28.0),
+    "close": Camera((0.0, 0.0, 0.13), 0.62, 24.0, -20.0),
+    "top": Camera((0.0, 0.0, 0.0), 2.00, 0.0, -89.0),
+    "left": Camera((0.0, 0.0, 0.18), 1.75, -62.0, -24.0),
+    "right": Camera((0.0, 0.0, 0.18), 1.75, 62.0, -24.0),
+}
+
+
+@contextlib.contextmanager
+def silenced() -> Iterator[None]:
+    """Sends file descriptors 1 and 2 to nowhere: PyBullet and EGL print from C."""
+    saved = os.dup(1), os.dup(2)
+    null = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, 1)
+        os.dup2(null, 2)
+        yield
+    finally:
+        for descriptor, kept in zip((1, 2), saved, strict=True):
+            os.dup2(kept, descriptor)
+            os.close(kept)
+        os.close(null)
+
+
+class Studio:
+    """Renders the cell of a composed URDF with its pieces; a context manager.
+
+    Attributes:
+        renderer: `egl` or `tiny`, what is in use.
+        reason: why it is not what was asked for; empty otherwise. To be announced.
+        joint_names: the movable joints, in the order of an array given to `frame`.
+    """
+
+    def __init__(
+        self,
+        urdf: Path,
+        pieces: Sequence[PieceVisual] = (),
+        size: tuple[int, int] = (1280, 720),
+        renderer: str = "auto",
+        supersampling: float = 1.0,
+    ):
+        if renderer not in ("auto", "egl", "tiny"):
+            raise InputError("renderer", f"{renderer!r}: must be auto, egl or tiny")
+        if size[0] % 2 or size[1] % 2 or min(size) < 16:
+            raise InputError("size", f"{size}: width and height must be even, for the video, and at least 16")
+        import pybullet
+
+        self._p = pybullet
+        self.size = size
+        self._inner = tuple(2 * round(n * supersampling / 2) for n in size)
+        self._files = tempfile.TemporaryDirectory(prefix="soma_bullet_studio_")
+        self._arrows: dict[tuple[float, look.Colour], int] = {}
+        with silenced():
+            self.client = pybullet.connect(pybullet.DIRECT)
+            self.renderer, self.reason = self._start_renderer(renderer)
+            self._build(Path(urdf), pieces)
+        if renderer == "egl" and self.renderer != "egl":
+            self.close()
+            raise InputError("renderer", f"egl is not available: {self.reason}")
+
+    def __enter__(self) -> Studio:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Ends the client and removes its files; may be called twice."""
+        if self.client >= 0:
+            with silenced():
+                self._p.disconnect(physicsClientId=self.client)
+            self.client = -1
+            self._files.cleanup()
+
+    # --- setting up ----------------------------------------------------------------------------------------------------
+
+    def _start_renderer(self, wanted: str) -> tuple[str, str]:
+        """Loads the OpenGL plugin, which must come before any body: those that exist already stay invisible to it."""
+        if wanted == "tiny":
+            return "tiny", ""
+        spec = util.find_spec("eglRenderer")
+        if spec is None or spec.origin is None:
+            return "tiny", "this build of PyBullet has no eglRenderer"
+        if self._p.loadPlugin(spec.origin, "_eglRendererPlugin", physicsClientId=self.client) < 0:
+            return "tiny", "the eglRenderer plugin does not load: install libegl1 libegl-mesa0 libgl1-mesa-dri"
+        return "egl", ""
+
+    def _build(self, urdf: Path, pieces: Sequence[PieceVisual]) -> None:
+        p, client = self._p, self.client
+        lean = look.lean_urdf(urdf, Path(self._files.name) / "cell.urdf")
+        flags = p.URDF_USE_INERTIA_FROM_FILE
+        self._robot = p.loadURDF(str(lean), useFixedBase=True, flags=flags, physicsClientId=client)
+        infos = [p.getJointInfo(self._robot, i, physicsClientId=client) for i in range(p.getNumJoints(self._robot, physicsClientId=client))]
+        self._joints = {info[1].decode(): info[0] for info in infos if info[2] != p.JOINT_FIXED}
+        self.joint_names = tuple(self._joints)
+        self._add_floor(infos)
+        self._pieces = {piece.name: self._add_mesh(look.flat_obj(piece.vertices, piece.faces), piece.rgb) for piece in pieces}
+
+    def _add_mesh(self, obj: str, rgb: look.Colour) -> int:
+        p, client = self._p, self.client
+        # PyBullet caches files by name: a name is never used twice.
+        handle, name = tempfile.mkstemp(suffix=".obj", dir=self._files.name)
+        with os.fdopen(handle, "w") as file:
+            file.write(obj)
+        shape = p.createVisualShape(p.GEOM_MESH, fileName=name, rgbaColor=(*rgb, 1), physicsClientId=client)
+        return p.createMultiBody(0, -1, shape, basePosition=_AWAY, physicsClientId=client)
+
+    def _add_floor(self, infos: Sequence[tuple]) -> None:
+        """A floor, and legs under the corners of the table."""
+        import trimesh
+
+        p, client = self._p, self.client
+        floor = trimesh.creation.box(extents=(30.0, 30.0, 0.02))
+        self._place(self._add_mesh(look.flat_obj(floor.vertices, floor.faces), look.FLOOR), (0, 0, _FLOOR_Z - 0.01))
+        table = next((info[0] for info in infos if info[12] == b"table"), None)
+        if table is None:
+            return
+        size = next(np.array(shape[3]) for shape in p.getVisualShapeData(self._robot, physicsClientId=client) if shape[1] == table)
+        centre = np.array(p.getLinkState(self._robot, table, physicsClientId=client)[4])
+        top = centre[2] - size[2] / 2
+        leg = trimesh.creation.box(extents=(0.05, 0.05, top - _FLOOR_Z))
+        obj = look.flat_obj(leg.vertices, leg.faces)
+        for sx, sy in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
+            x, y = centre[:2] + np.array((sx, sy)) * (size[:2] / 2 - 0.04)
+            self._place(self._add_mesh(obj, look.LEGS), (x, y, (top + _FLOOR_Z) / 2))
+
+    def _place(self, body: int, position: ArrayLike, quat_xyzw: ArrayLike = (0, 0, 0, 1)) -> None:
+        self._p.resetBasePositionAndOrientation(body, position, quat_xyzw, physicsClientId=self.client)
+
+    # --- rendering -----------------------------------------------------------------------------------------------------
+
+    def frame(
+        self,
+        joint_positions: Mapping[str, float] | ArrayLike,
+        poses: Mapping[str, ArrayLike],
+        camera: Camera,
+        arrow: Arrow | None = None,
+    ) -> Frame:
+        """One picture (h, w, 3).
+
+        Args:
+            joint_positions: by name (those left out stay as they were), or an array in the order of `joint_names`.
+            poses: T_world_piece (4, 4) by name; pieces left out are not shown.
+        """
+        self._pose_robot(joint_positions)
+        unknown = sorted(set(poses) - set(self._pieces))
+        if unknown:
+            raise InputError("poses", f"unknown pieces {', '.join(unknown)}; known: {', '.join(self._pieces)}")
+        for name, body in self._pieces.items():
+            if name in poses:
+                self._place(body, *to_quat_xyzw(poses[name]))
+            else:
+                self._place(body, _AWAY)
+        self._pose_arrow(arrow)
+        return self._picture(camera)
+
+    def _pose_robot(self, joint_positions: Mapping[str, float] | ArrayLike) -> None:
+        if not isinstance(joint_positions, Mapping):
+            values = np.asarray(joint_positions, float)
+            if values.shape != (len(self._joints),):
+                raise InputError("joint_positions", f"shape {values.shape}: there are {len(self._joints)} joints")
+            joint_positions = dict(zip(self.joint_names, values, strict=True))
+        for name, value in joint_positions.items():
+            if name not in self._joints:
+                raise InputError("joint_positions", f"unknown joint {name!r}; known: {', '.join(self._joints)}")
+            self._p.resetJointState(self._robot, self._joints[name], float(value), physicsClientId=self.client)
+
+    def _pose_arrow(self, arrow: Arrow | None) -> None:
+        for body in self._arrows.values():
+            self._place(body, _AWAY)
+        if arrow is None:
+            return
+        key = (round(arrow.length, 3), arrow.rgb)
+        if key not in self._arrows:
+            with silenced():
+                self._arrows[key] = self._add_mesh(look.flat_obj(*look.arrow(key[0], 0.045 * key[0] + 0.001)), arrow.rgb)
+        direction = np.asarray(arrow.direction, float)
+        z = direction / np.linalg.norm(direction)
+        x = np.cross(z, (0.0, 1.0, 0.0) if abs(z[1]) < 0.9 else (1.0, 0.0, 0.0))
+        x /= np.linalg.norm(x)
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = np.stack((x, np.cross(z, x), z), axis=1), arrow.start
+        self._place(self._arrows[key], *to_quat_xyzw(T))
+
+    def _picture(self, camera: Camera) -> Frame:
+        p, (width, height) = self._p, self._inner
+        view = p.computeViewMatrixFromYawPitchRoll(camera.target, camera.distance, camera.yaw, camera.pitch, 0, 2)
+        projection = p.computeProjectionMatrixFOV(camera.fov, width / height, _NEAR, _FAR)
+        _, _, rgba, depth, _ = p.getCameraImage(
+            width, height, view, projection, shadow=1, lightDirection=(0.6, -1.0, 5.0), lightDistance=3.0, lightColor=(1, 1, 1),
+            lightAmbientCoeff=0.70, lightDiffuseCoeff=0.35, lightSpecularCoeff=0.05,
+            renderer=p.ER_BULLET_HARDWARE_OPENGL if self.renderer == "egl" else p.ER_TINY_RENDERER,
+            flags=p.ER_NO_SEGMENTATION_MASK, physicsClientId=self.client,
+        )  # fmt: skip
+        rgb = np.reshape(rgba, (height, width, 4))[..., :3]
+        return self._resized(_before_backdrop(rgb, np.reshape(depth, (height, width))))
+
+    def _resized(self, picture: Frame) -> Frame:
+        if self._inner == self.size:
+            return picture
+        from PIL import Image
+
+        return np.asarray(Image.fromarray(picture).resize(self.size, Image.Resampling.BOX if self._inner[0] == 2 * self.size[0] else Image.Resampling.LANCZOS))
+
+
+def _before_backdrop(rgb: Frame, depth: NDArray[np.float32]) -> Frame:
+    """The picture with a soft gradient behind it that the floor fades into: no horizon, no walls in a camera's way."""
+    top, bottom = _BACKDROP
+    # Depth buffer to distance along the view: https://learnopengl.com/Advanced-OpenGL/Depth-testing, eq. for z.
+    start, end = ((_FAR - _FAR * _NEAR / z) / (_FAR - _NEAR) for z in _FOG)
+    rows, columns = np.nonzero(depth > start)
+    if not len(rows):
+        return np.ascontiguousarray(rgb)
+    picture = np.array(rgb)
+    distance = _FAR * _NEAR / (_FAR - depth[rows, columns] * (_FAR - _NEAR))
+    fade = np.clip((distance - _FOG[0]) / (_FOG[1] - _FOG[0]), 0.0, 1.0)[:, None].astype(np.float32)
+    fade = fade * fade * (3 - 2 * fade)
+    ramp = np.linspace(0.0, 1.0, len(depth), dtype=np.float32)[:, None]
+    backdrop = (255 * (top * (1 - ramp) + bottom * ramp)).astype(np.float32)
+    picture[rows, columns] = picture[rows, columns] * (1 - fade) + backdrop[rows] * fade
+    return picture
+
+
+# --- captions and video ------------------------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=16)
+def _font(points: int, bold: bool):
+    from PIL import ImageFont
+
+    spec = util.find_spec("matplotlib")
+    for folder in (spec.submodule_search_locations or ()) if spec else ():
+        file = Path(folder) / "mpl-data/fonts/ttf" / ("DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf")
+        if file.is_file():
+            return ImageFont.truetype(str(file), points)
+    return ImageFont.load_default(points)
+
+
+@lru_cache(maxsize=64)
+def _band(size: tuple[int, int], text: str, subtitle: str, note: str, rgb: look.Colour):
+    """The lower third as an RGBA picture: made once per caption, not once per frame."""
+    from PIL import Image, ImageDraw
+
+    width, height = size
+    unit = height / 720
+    band = Image.new("RGBA", size, (0, 0, 0, 0))
+    draw = ImageDraw.Draw(band)
+    tall = round((92 if subtitle else 60) * unit)
+    top = height - tall
+    draw.rectangle((0, top, width, height), fill=(18, 22, 28, 190))
+    draw.rectangle((0, top, round(8 * unit), height), fill=(*(round(255 * c) for c in rgb), 255))
+    left = round(32 * unit)
+    draw.text((left, top + round(14 * unit)), text, font=_font(round(26 * unit), True), fill=(255, 255, 255, 255))
+    if subtitle:
+        draw.text((left, top + round(54 * unit)), subtitle, font=_font(round(19 * unit), False), fill=(214, 220, 228, 255))
+    if note:
+        draw.text((width - left, top + tall / 2), note, font=_font(round(19 * unit), False), fill=(214, 220, 228, 255), anchor="rm")
+    return band
+
+
+def caption(frame: Frame, text: str, subtitle: str = "", note: str = "", rgb: look.Colour = look.ARROW) -> Frame:
+    """The frame (h, w, 3) with a band along its lower edge: a line, a smaller one below, a note at the right."""
+    from PIL import Image
+
+    picture = Image.fromarray(frame)
+    band = _band(picture.size, text, subtitle, note, rgb)
+    picture.paste(band, mask=band)
+    return np.asarray(picture)
+
+
+def write_video(path: Path, frames: Iterable[Frame], fps: float = 25.0, quality: int = 20) -> Path:
+    """Writes frames (h, w, 3), of even size, as H.264 that every player takes; `quality` is x264's crf, lower is better.
+
+    Raises:
+        InputError: there is no frame.
+    """
+    from fractions import Fraction
+
+    import av
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    stream, count = None, 0
+    with av.open(str(path), "w", options={"movflags": "faststart"}) as container:
+        for count, picture in enumerate(frames, 1):
+            if stream is None:
+                stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1000))
+                stream.height, stream.width = picture.shape[:2]
+                stream.pix_fmt = "yuv420p"
+                stream.options = {"crf": str(quality), "preset": "medium"}
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")))
+        if stream is not None:
+            container.mux(stream.encode())
+    if not count:
+        path.unlink(missing_ok=True)
+        raise InputError(str(path), "no frames to write")
+    return path
