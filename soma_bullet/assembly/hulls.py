@@ -60,11 +60,13 @@ class Hull:
 
 def unique_directions(directions: Array, tolerance: float = 1e-4) -> Array:
     """The unit directions (n, 3) without repeats up to sign (k, 3), in order of appearance."""
-    kept: list[Array] = []
+    kept = np.empty((len(directions), 3))
+    count = 0
     for direction in directions:
-        if all(abs(abs(direction @ other) - 1.0) > tolerance**2 for other in kept):
-            kept.append(direction)
-    return np.array(kept)
+        if (np.abs(np.abs(kept[:count] @ direction) - 1.0) > tolerance**2).all():
+            kept[count] = direction
+            count += 1
+    return kept[:count].copy()
 
 
 def box_hull(centre: Array, axes: Array, half: Array) -> Hull:
@@ -79,25 +81,25 @@ def box_hull(centre: Array, axes: Array, half: Array) -> Hull:
 def hull_of_points(points: Array) -> Hull:
     """Convex hull of points (n, 3) [m], coplanar triangles merged; a box is recognised as such."""
     hull = ConvexHull(points)
-    planes: list[Array] = []
+    planes = np.empty((0, 4))
     edges: list[Array] = []
     for plane in hull.equations:
-        if all(plane[:3] @ other[:3] < 1 - 1e-7 for other in planes):
-            planes.append(plane)
+        if (planes[:, :3] @ plane[:3] < 1 - 1e-7).all():
+            planes = np.vstack([planes, plane])
     for simplex, neighbours, plane in zip(hull.simplices, hull.neighbors, hull.equations, strict=True):
         for corner, neighbour in enumerate(neighbours):
             if plane[:3] @ hull.equations[neighbour][:3] < 1 - 1e-7:
                 first, second = np.delete(simplex, corner)
                 edge = points[second] - points[first]
                 edges.append(edge / np.linalg.norm(edge))
-    normals = np.array(planes)[:, :3]
+    normals = planes[:, :3]
     directions = unique_directions(normals)
     if len(normals) == 6 and len(directions) == 3 and np.allclose(directions @ directions.T, np.eye(3), atol=1e-6):
         reach = points @ directions.T
         low, high = reach.min(axis=0), reach.max(axis=0)
         return box_hull((low + high) / 2 @ directions, directions, (high - low) / 2)
     return Hull(
-        readonly(points[hull.vertices]), readonly(normals), readonly(-np.array(planes)[:, 3]),
+        readonly(points[hull.vertices]), readonly(normals), readonly(-planes[:, 3]),
         readonly(unique_directions(np.array(edges))),
     )
 

@@ -1,0 +1,127 @@
+"""The assembly in the cell: where it stands, what its settled goals are, and scenes of who is where."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from soma_bullet.assembly.contacts import SUPPORT
+from soma_bullet.assembly.model import Assembly
+from soma_bullet.frames import Array, make_transform, readonly
+from soma_bullet.robot.cell import Cell
+from soma_bullet.robot.collision import CollisionModel, Scene, Situation
+from soma_bullet.robot.kinematics import Robot
+
+SMALLEST_STAND = 0.03  # [m]
+STAND_RIM = 0.005  # [m] of stand around the footprint
+STAND, TABLE = "stand", "table"
+
+
+def footprint(assembly: Assembly) -> tuple[Array, Array]:
+    """Low and high corner (2,) [m] of the assembly's contact with its support, in the assembly frame."""
+    feet = np.vstack([c.points[:, :2] for c in assembly.contacts if c.body_a == SUPPORT])
+    return feet.min(axis=0), feet.max(axis=0)
+
+
+def stand_size(assembly: Assembly) -> tuple[float, float]:
+    """Footprint of the stand [m]: the assembly's, with a rim."""
+    low, high = footprint(assembly)
+    size = np.maximum(high - low + 2 * STAND_RIM, SMALLEST_STAND)
+    return float(size[0]), float(size[1])
+
+
+def assembly_frame(assembly: Assembly, cell: Cell) -> Array:
+    """T_world_assembly (4, 4): the middle of the footprint on the middle of the stand's top, axes parallel to the world's."""
+    low, high = footprint(assembly)
+    middle = (low + high) / 2
+    return make_transform(
+        translation=(*(cell.stand_centre - middle), cell.stand_height - assembly.support.height)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Hands:
+    """What the arms do at one moment.
+
+    Attributes:
+        qs: joints (arms, 6) [rad].
+        openings: distances between the pads (arms,) [m].
+        gripped: piece -> arm of pieces between fingers.
+    """
+
+    qs: Array
+    openings: Array
+    gripped: Mapping[str, int] = field(default_factory=dict)
+
+    def with_arm(self, arm: int, q: Array, opening: float | None = None) -> Hands:
+        """The same with one arm elsewhere."""
+        qs, openings = self.qs.copy(), self.openings.copy()
+        qs[arm] = q
+        if opening is not None:
+            openings[arm] = opening
+        return replace(self, qs=qs, openings=openings)
+
+    def gripping(self, arm: int, piece: str | None) -> Hands:
+        """The same with one hand on a piece, or on none."""
+        kept = {name: hand for name, hand in self.gripped.items() if hand != arm}
+        return replace(self, gripped={**kept, piece: arm} if piece is not None else kept)
+
+    def piece_of(self, arm: int) -> str | None:
+        """What an arm's hand grips."""
+        return next((piece for piece, hand in self.gripped.items() if hand == arm), None)
+
+
+class Workcell:
+    """One assembly in one cell: robot, collision model, and goals in the world."""
+
+    def __init__(self, assembly: Assembly, cell: Cell):
+        self.assembly, self.cell = assembly, cell
+        self.robot = Robot(cell, stand_size(assembly))
+        self.collision = CollisionModel(self.robot, {piece.name: piece.body_parts for piece in assembly.pieces})
+        self.T_world_assembly = readonly(assembly_frame(assembly, cell))
+
+    @cached_property
+    def goals(self) -> dict[str, Array]:
+        """Nominal T_world_piece of every piece."""
+        return {name: self.T_world_assembly @ goal for name, goal in zip(self.assembly.names, self.assembly.goals, strict=True)}
+
+    @cached_property
+    def settled(self) -> dict[str, Array]:
+        """T_world_piece of every piece where it settles: the goal less its drop."""
+        lowered = {}
+        for name, drop in zip(self.assembly.names, self.assembly.drops, strict=True):
+            pose = self.goals[name].copy()
+            pose[2, 3] -= drop
+            lowered[name] = pose
+        return lowered
+
+    @cached_property
+    def touching(self) -> frozenset[frozenset[str]]:
+        """Pairs of bodies that touch in the finished assembly."""
+        name = lambda k: STAND if k == SUPPORT else self.assembly.names[k]  # noqa: E731
+        return frozenset(frozenset((name(c.body_a), name(c.body_b))) for c in self.assembly.contacts)
+
+    def idle(self) -> Hands:
+        """Both arms at home, hands closed and empty."""
+        return Hands(np.array(self.robot.home), np.array(self.robot.closed))
+
+    def scene(
+        self,
+        poses: Mapping[str, Array],
+        hands: Hands,
+        arm: int,
+        carried: tuple[str, Array] | None = None,
+        touching: frozenset[frozenset[str]] = frozenset(),
+    ) -> Scene:
+        """A scene in which one arm moves, possibly carrying (piece, T_tcp_piece), and the others stand still."""
+        still = {name: pose for name, pose in poses.items() if carried is None or name != carried[0]}
+        held = {} if carried is None else {carried[0]: (arm, carried[1])}
+        return self.collision.scene(Situation(still, frozenset({arm}), held, hands.gripped, touching))
+
+    def configuration(self, hands: Hands, arm: int, q: Array, opening: float | None = None) -> Array:
+        """pinocchio's vector with one arm at q."""
+        moved = hands.with_arm(arm, q, opening)
+        return self.robot.configuration(moved.qs, moved.openings)
