@@ -20,6 +20,7 @@ SUPPORT = -1  # index of the support where the index of a piece may stand
 ANGLE_TOLERANCE = np.deg2rad(2.0)  # [rad] between opposite normals
 GAP_TOLERANCE = 1e-4  # [m] beyond the fit gap, either sign
 SMALLEST_AREA = 1e-6  # [m2]
+SMALLEST_WIDTH = 2e-6  # [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,10 +82,16 @@ def _pair_patches(a: int, b: int, facets_a: Sequence[Facet], facets_b: Sequence[
         if abs(np.median(distances)) > gap:
             continue
         flat = shapely.transform(second.polygon, lambda xy, s=second, f=first: s.lift(xy) @ f.basis.T)
-        shared = first.polygon.intersection(flat)
+        shared = _opened(first.polygon.intersection(flat))
         if shared.area > SMALLEST_AREA:
             found.append((first, shared, float(np.median(distances))))
     return _merged(a, b, found, flip=False)
+
+
+def _opened(shape: shapely.Geometry) -> shapely.Geometry:
+    """The shape without the lines, points and slivers that faces share where they only meet at an edge."""
+    inner = shape.buffer(-SMALLEST_WIDTH / 2, join_style="mitre", mitre_limit=50.0)
+    return inner.buffer(SMALLEST_WIDTH / 2, join_style="mitre", mitre_limit=50.0)
 
 
 def _merged(a: int, b: int, found: list[tuple[Facet, shapely.Geometry, float]], flip: bool) -> list[Contact]:

@@ -46,12 +46,12 @@ def line_back(
 
 
 def _step(robot: Robot, arm: int, previous: Array, T_world_tcp: Array, away: Array, distance: float) -> Array:
-    solutions = robot.inverse(arm, translate(T_world_tcp, away * distance), previous)
-    if not len(solutions):
+    q = robot.follow(arm, translate(T_world_tcp, away * distance), previous)
+    if q is None:
         raise LineError("unreachable", distance)
-    if np.abs(solutions[0] - previous).max() > LARGEST_JOINT_STEP:
-        raise LineError("branch", distance, solutions[0])
-    return solutions[0]
+    if np.abs(q - previous).max() > LARGEST_JOINT_STEP:
+        raise LineError("branch", distance, q)
+    return q
 
 
 def sample_line(robot: Robot, arm: int, q_start: Array, offset: Array, spacing: float = SPACING) -> tuple[Array, Array]:

@@ -32,6 +32,7 @@ class Situation:
         moving: indices of the arms that move.
         gripped: piece -> arm index of pieces between the fingers of a hand (carried or held in place).
         touching: unordered pairs of bodies that are meant to touch.
+        absent: arms that are left out, for what does not depend on them.
     """
 
     poses: Mapping[str, Array]
@@ -39,6 +40,7 @@ class Situation:
     carried: Mapping[str, tuple[int, Array]] = field(default_factory=dict)
     gripped: Mapping[str, int] = field(default_factory=dict)
     touching: frozenset[frozenset[str]] = frozenset()
+    absent: frozenset[int] = frozenset()
 
 
 class CollisionModel:
@@ -165,6 +167,8 @@ class Scene:
         """Margin [m] of a pair; None where it need not be checked: both at rest, or a hand and what it grips."""
         moving = self.situation.moving
         movers = {self._mover(a), self._mover(b)}
+        if movers & self.situation.absent:
+            return None
         if not movers & moving or (len(movers) == 1 and self._rigid(a, b)):
             return None
         names = frozenset((self.collision_model.bodies[a], self.collision_model.bodies[b]))

@@ -93,6 +93,23 @@ class Robot:
                 kept.append(q)
         return np.array(sorted(kept, key=lambda q: round(float(np.abs(q - reference).max()), 9))).reshape(-1, 6)
 
+    def follow(self, arm: int, T_world_tcp: Array, previous: Array) -> Array | None:
+        """The joints (6,) nearest to `previous` that reach a TCP pose (4, 4): one step along a line; None where none do."""
+        solver, rotation_home = self._solvers[arm]
+        pose = np.array(T_world_tcp)
+        pose[:3, :3] = pose[:3, :3] @ rotation_home.T
+        found = np.asarray(solver.IK(pose).Q, float).reshape(-1, 6)
+        limits = self.arm(arm)
+        turned = previous + (found - previous + np.pi) % (2 * np.pi) - np.pi
+        distance = np.abs(turned - previous).max(axis=1)
+        for k in np.argsort(distance, kind="stable"):
+            q = turned[k]
+            if not np.isfinite(q).all() or np.any(q > limits.upper) or np.any(q < limits.lower):
+                continue
+            if np.abs(self.tcp(arm, q) - T_world_tcp).max() < FK_ERROR:
+                return np.array(q)
+        return None
+
     def _solver(self, arm: int) -> tuple[HPRobot, Array]:
         """EAIK's robot from the joint axes at zero, in the world frame, and the TCP's rotation there."""
         pin.framesForwardKinematics(self.model, self.data, np.zeros(self.model.nq))

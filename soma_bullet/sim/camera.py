@@ -26,10 +26,11 @@ from soma_bullet.sim import look
 Frame = NDArray[np.uint8]
 
 _NEAR, _FAR = 0.05, 12.0  # [m]
-_FLOOR_Z = -0.74  # [m] the table top is z = 0
 _AWAY = (0.0, 0.0, -100.0)  # where what is not shown waits
-_FOG = (2.2, 5.5)  # [m] the floor fades into the backdrop between these distances
-_BACKDROP = (np.array((0.97, 0.975, 0.98)), np.array((0.80, 0.825, 0.855)))  # top and bottom of the picture
+_EMPTY = 0.99999  # of the depth buffer: nothing was drawn there
+_BACKDROP = ((0.97, 0.975, 0.98), (0.80, 0.825, 0.855))  # rgb at the top and the bottom of the picture
+_LIGHT = (0.0, -1.0, 6.0)
+_MATT = (0.0, 0.0, 0.0)  # specular colour
 
 
 @dataclass(frozen=True)
@@ -171,7 +172,8 @@ class Studio:
         infos = [p.getJointInfo(self._robot, i, physicsClientId=client) for i in range(p.getNumJoints(self._robot, physicsClientId=client))]
         self._joints = {info[1].decode(): info[0] for info in infos if info[2] != p.JOINT_FIXED}
         self.joint_names = tuple(self._joints)
-        self._add_floor(infos)
+        for i in range(-1, len(infos)):
+            p.changeVisualShape(self._robot, i, specularColor=_MATT, physicsClientId=client)
         self._pieces = {piece.name: self._add_mesh(look.flat_obj(piece.vertices, piece.faces), piece.rgb) for piece in pieces}
 
     def _add_mesh(self, obj: str, rgb: look.Colour) -> int:
@@ -180,27 +182,10 @@ class Studio:
         handle, name = tempfile.mkstemp(suffix=".obj", dir=self._files.name)
         with os.fdopen(handle, "w") as file:
             file.write(obj)
-        shape = p.createVisualShape(p.GEOM_MESH, fileName=name, rgbaColor=(*rgb, 1), physicsClientId=client)
+        shape = p.createVisualShape(
+            p.GEOM_MESH, fileName=name, rgbaColor=(*rgb, 1), specularColor=_MATT, physicsClientId=client
+        )
         return p.createMultiBody(0, -1, shape, basePosition=_AWAY, physicsClientId=client)
-
-    def _add_floor(self, infos: Sequence[tuple]) -> None:
-        """A floor, and legs under the corners of the table."""
-        import trimesh
-
-        p, client = self._p, self.client
-        floor = trimesh.creation.box(extents=(30.0, 30.0, 0.02))
-        self._place(self._add_mesh(look.flat_obj(floor.vertices, floor.faces), look.FLOOR), (0, 0, _FLOOR_Z - 0.01))
-        table = next((info[0] for info in infos if info[12] == b"table"), None)
-        if table is None:
-            return
-        size = next(np.array(shape[3]) for shape in p.getVisualShapeData(self._robot, physicsClientId=client) if shape[1] == table)
-        centre = np.array(p.getLinkState(self._robot, table, physicsClientId=client)[4])
-        top = centre[2] - size[2] / 2
-        leg = trimesh.creation.box(extents=(0.05, 0.05, top - _FLOOR_Z))
-        obj = look.flat_obj(leg.vertices, leg.faces)
-        for sx, sy in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
-            x, y = centre[:2] + np.array((sx, sy)) * (size[:2] / 2 - 0.04)
-            self._place(self._add_mesh(obj, look.LEGS), (x, y, (top + _FLOOR_Z) / 2))
 
     def _place(self, body: int, position: ArrayLike, quat_xyzw: ArrayLike = (0, 0, 0, 1)) -> None:
         self._p.resetBasePositionAndOrientation(body, position, quat_xyzw, physicsClientId=self.client)
@@ -265,38 +250,31 @@ class Studio:
         view = p.computeViewMatrixFromYawPitchRoll(camera.target, camera.distance, camera.yaw, camera.pitch, 0, 2)
         projection = p.computeProjectionMatrixFOV(camera.fov, width / height, _NEAR, _FAR)
         _, _, rgba, depth, _ = p.getCameraImage(
-            width, height, view, projection, shadow=1, lightDirection=(0.6, -1.0, 5.0), lightDistance=3.0, lightColor=(1, 1, 1),
+            width, height, view, projection, shadow=1, lightDirection=_LIGHT, lightDistance=3.0, lightColor=(1, 1, 1),
             lightAmbientCoeff=0.70, lightDiffuseCoeff=0.35, lightSpecularCoeff=0.05,
             renderer=p.ER_BULLET_HARDWARE_OPENGL if self.renderer == "egl" else p.ER_TINY_RENDERER,
             flags=p.ER_NO_SEGMENTATION_MASK, physicsClientId=self.client,
         )  # fmt: skip
-        rgb = np.reshape(rgba, (height, width, 4))[..., :3]
-        return self._resized(_before_backdrop(rgb, np.reshape(depth, (height, width))))
+        return self._finished(np.reshape(rgba, (height, width, 4)), np.reshape(depth, (height, width)))
 
-    def _resized(self, picture: Frame) -> Frame:
-        if self._inner == self.size:
-            return picture
+    def _finished(self, rgba: NDArray[np.uint8], depth: NDArray[np.float32]) -> Frame:
+        """The picture before a soft gradient, scaled down: no horizon, and no wall in a camera's way."""
         from PIL import Image
 
-        return np.asarray(Image.fromarray(picture).resize(self.size, Image.Resampling.BOX if self._inner[0] == 2 * self.size[0] else Image.Resampling.LANCZOS))
+        picture = Image.fromarray(rgba).convert("RGB")
+        picture.paste(_backdrop(picture.size), mask=Image.fromarray((depth >= _EMPTY).astype(np.uint8) * 255))
+        if picture.size != self.size:
+            picture = picture.resize(self.size, Image.Resampling.BOX)
+        return np.asarray(picture)
 
 
-def _before_backdrop(rgb: Frame, depth: NDArray[np.float32]) -> Frame:
-    """The picture with a soft gradient behind it that the floor fades into: no horizon, no walls in a camera's way."""
-    top, bottom = _BACKDROP
-    # Depth buffer to distance along the view: https://learnopengl.com/Advanced-OpenGL/Depth-testing, eq. for z.
-    start, end = ((_FAR - _FAR * _NEAR / z) / (_FAR - _NEAR) for z in _FOG)
-    rows, columns = np.nonzero(depth > start)
-    if not len(rows):
-        return np.ascontiguousarray(rgb)
-    picture = np.array(rgb)
-    distance = _FAR * _NEAR / (_FAR - depth[rows, columns] * (_FAR - _NEAR))
-    fade = np.clip((distance - _FOG[0]) / (_FOG[1] - _FOG[0]), 0.0, 1.0)[:, None].astype(np.float32)
-    fade = fade * fade * (3 - 2 * fade)
-    ramp = np.linspace(0.0, 1.0, len(depth), dtype=np.float32)[:, None]
-    backdrop = (255 * (top * (1 - ramp) + bottom * ramp)).astype(np.float32)
-    picture[rows, columns] = picture[rows, columns] * (1 - fade) + backdrop[rows] * fade
-    return picture
+@lru_cache(maxsize=4)
+def _backdrop(size: tuple[int, int]):
+    from PIL import Image
+
+    ramp = np.linspace(0.0, 1.0, size[1])[:, None]
+    column = np.array(_BACKDROP[0]) * (1 - ramp) + np.array(_BACKDROP[1]) * ramp
+    return Image.fromarray(np.ascontiguousarray(np.repeat((255 * column).astype(np.uint8)[:, None], size[0], axis=1)))
 
 
 # --- captions and video ------------------------------------------------------------------------------------------------

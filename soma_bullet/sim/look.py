@@ -1,4 +1,4 @@
-"""What the renderer shows: lean, coloured copies of the robot's visual meshes, flat-shaded pieces, an arrow, table legs.
+"""What the renderer shows: lean, coloured copies of the robot's visual meshes, flat-shaded pieces, an arrow.
 
 PyBullet's OpenGL renderer ignores the materials of a mesh file, so a mesh is split: one visual per material, coloured as the
 material says. Its software OpenGL is bound by triangles, so each part is thinned by clustering its vertices.
@@ -18,9 +18,6 @@ from soma_bullet.frames import Array
 Faces = NDArray[np.int64]
 Colour = tuple[float, float, float]
 
-FLOOR: Colour = (0.80, 0.82, 0.85)
-TABLE: Colour = (0.93, 0.92, 0.90)
-LEGS: Colour = (0.50, 0.52, 0.55)
 ARROW: Colour = (0.95, 0.55, 0.10)
 # Distinct for the colour-blind as well, in the order in which pieces are listed.
 PIECES: tuple[Colour, ...] = (
@@ -70,6 +67,11 @@ def arrow(length: float, radius: float, sections: int = 32) -> tuple[Array, Face
         np.stack((ring * sections + i, (ring + 1) * sections + j, (ring + 1) * sections + i), 1),
     )]  # fmt: skip
     return vertices, np.concatenate(faces)
+
+
+_CUBE = np.array([(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+_CUBE_FACES = np.array([(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
+                        (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)])  # fmt: skip
 
 
 # --- the robot's meshes ------------------------------------------------------------------------------------------------
@@ -171,8 +173,14 @@ def lean_urdf(urdf: Path, path_out: Path, cache: Path | None = None) -> Path:
         for collision in link.findall("collision"):
             link.remove(collision)
         for visual in link.findall("visual"):
+            box = visual.find("geometry/box")
+            if box is not None:  # PyBullet shades its own boxes as if they were round
+                half = np.array([float(x) for x in box.get("size").split()]) / 2
+                part = path_out.with_name(f"{path_out.stem}_box_{link.get('name')}.obj")
+                part.write_text(flat_obj(half * _CUBE, _CUBE_FACES))
+                box.getparent().replace(box, etree.Element("mesh", filename=str(part)))
             mesh = visual.find("geometry/mesh")
-            if mesh is None or not mesh.get("filename", "").endswith(".obj"):
+            if box is not None or mesh is None or not mesh.get("filename", "").endswith(".obj"):
                 continue
             at = link.index(visual)
             link.remove(visual)

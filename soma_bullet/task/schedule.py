@@ -20,6 +20,7 @@ from soma_bullet.motion.line import LineError, line_back
 from soma_bullet.planner.assist import HoldCertificate, certify_hold
 from soma_bullet.planner.equilibrium import classify
 from soma_bullet.planner.plan import AssemblyPlan, PlanStep
+from soma_bullet.robot.collision import Scene
 from soma_bullet.task.feed import Feed
 from soma_bullet.task.grasps import grasp_poses
 from soma_bullet.task.workcell import TABLE, Hands, Workcell
@@ -110,6 +111,12 @@ class _Candidate:
     contact: float
 
 
+@dataclass(frozen=True, eq=False)
+class _Lines:
+    insertions: list[Array]
+    picks: list[tuple[Array, Array]]
+
+
 class Scheduler:
     """Searches schedules of one plan, feed and cell; checks that two schedules share are made once."""
 
@@ -119,7 +126,8 @@ class Scheduler:
         self.hand = workcell.cell.arms[0].hand
         self.rejections: Counter[str] = Counter()
         self.excluded: set[tuple[int, int, int]] = set()  # (step, arm, grasp) that a later stage ruled out
-        self._picks: dict[tuple[int, int, int, bytes], tuple[Array, Array, Array] | None] = {}
+        self._made: dict[tuple[int, int, int], _Lines] = {}
+        self._certificates: dict[tuple[int, int], HoldCertificate] = {}
 
     def find(self) -> Schedule:
         """The first schedule. Raises NoSolutionError with what blocked, most frequent first."""
@@ -240,6 +248,9 @@ class Scheduler:
     def _try(self, k: int, state: _State, candidate: _Candidate) -> tuple[Assignment, _State] | None:
         """The assignment of a candidate and the state after it, or None with the reason counted."""
         step = self.plan.steps[k]
+        lines = self._lines(k, candidate)
+        if not lines.insertions or not lines.picks:
+            return None
         certificate = None
         if any(hold.piece == step.piece for hold in step.holds):
             certificate = self._certificate(k, candidate)
@@ -249,7 +260,7 @@ class Scheduler:
         insertion = self._insertion(k, state, candidate)
         if insertion is None:
             return None
-        q_goal, q_ready, length = insertion
+        q_goal, q_ready = insertion
         pick = self._pick(k, state, candidate)
         if pick is None:
             return None
@@ -261,84 +272,131 @@ class Scheduler:
         assignment = Assignment(
             step=k, piece=step.piece, arm=candidate.arm, grasp=candidate.grasp, width=candidate.width,
             q_before=readonly(q_before), q_pick=readonly(q_pick), q_lifted=readonly(q_lifted),
-            q_ready=readonly(q_ready), q_goal=readonly(q_goal), direction=readonly(step.direction), length=length,
+            q_ready=readonly(q_ready), q_goal=readonly(q_goal), direction=readonly(step.direction), length=step.way + RUN_IN,
             holds=dict(final.hands.gripped), releases=releases, certificate=certificate,
         )  # fmt: skip
         return assignment, final
 
     def _certificate(self, k: int, candidate: _Candidate) -> HoldCertificate:
         assembly, step = self.workcell.assembly, self.plan.steps[k]
+        if (k, candidate.grasp) in self._certificates:
+            return self._certificates[k, candidate.grasp]
         following = self.plan.steps[k + 1] if k + 1 < len(self.plan.steps) else None
         placed = frozenset(assembly.index(s.piece) for s in self.plan.steps[: k + 1])
         held = assembly.index(step.piece)
-        return certify_hold(
+        self._certificates[k, candidate.grasp] = certify_hold(
             assembly, self.hand, placed, held, assembly.goals[held] @ candidate.T_piece_tcp,
             "dropped" if step.verdict == "robust" else "frictionless",
             None if following is None else assembly.index(following.piece),
             None if following is None else np.array(following.direction), contact=candidate.contact,
         )  # fmt: skip
+        return self._certificates[k, candidate.grasp]
 
-    def _insertion(self, k: int, state: _State, candidate: _Candidate) -> tuple[Array, Array, float] | None:
-        """Joints at the goal and where the insertion starts, and its length: the first branch whose whole line is free."""
-        step, cell = self.plan.steps[k], self.workcell
-        T_goal = cell.settled[step.piece] @ candidate.T_piece_tcp
+    def _insertion(self, k: int, state: _State, candidate: _Candidate) -> tuple[Array, Array] | None:
+        """Joints at the goal and where the insertion starts: the first branch whose whole line is free."""
+        step = self.plan.steps[k]
         hands = state.hands.gripping(candidate.arm, step.piece)
-        meant = frozenset(p for p in cell.touching if step.piece in p)
-        remaining = {s.piece: self.feed.pose(s.piece) for s in self.plan.steps[k + 1 :]}
-        scene = cell.scene(
-            {**state.placed, **remaining}, hands, candidate.arm, (step.piece, inverse(candidate.T_piece_tcp)), meant
-        )
-        collides = lambda q: scene.collides(cell.configuration(hands, candidate.arm, q, candidate.width))  # noqa: E731
-        solutions = self.robot.inverse(candidate.arm, T_goal, self.robot.home[candidate.arm])
-        if not len(solutions):
-            self._reject(step, f"{self.robot.arm(candidate.arm).name} arm does not reach the goal")
-        length = step.way + RUN_IN
-        for q in solutions:
-            try:
-                line = line_back(self.robot, candidate.arm, q, T_goal, -np.array(step.direction), length, collides)
-            except LineError as error:
-                self._reject_line(step, "insertion", error, scene, hands, candidate)
-                continue
-            return line[0], line[-1], length
+        scene: Scene | None = None
+        for line in self._lines(k, candidate).insertions:
+            scene = scene or self._insertion_scene(k, state.placed, hands, candidate)
+            if self._free(line, scene, hands, candidate, candidate.width, "insertion", step):
+                return line[0], line[-1]
         return None
 
     def _pick(self, k: int, state: _State, candidate: _Candidate) -> tuple[Array, Array, Array] | None:
         """Joints before the approach, at the grasp, and after the lift."""
+        step = self.plan.steps[k]
+        hands = state.hands.gripping(candidate.arm, step.piece)
+        scenes: tuple[Scene, Scene] | None = None
+        for approach, lift in self._lines(k, candidate).picks:
+            scenes = scenes or self._pick_scenes(k, state.placed, hands, candidate)
+            open_width = candidate.width + 2 * OPENING
+            if self._free(approach, scenes[0], hands, candidate, open_width, "approach", step) and self._free(
+                lift, scenes[1], hands, candidate, candidate.width, "lift", step
+            ):
+                return approach[-1], approach[0], lift[-1]
+        return None
+
+    def _free(
+        self, line: Array, scene: Scene, hands: Hands, candidate: _Candidate, width: float, name: str, step: PlanStep
+    ) -> bool:
+        for q in line:
+            if scene.collides(self.workcell.configuration(hands, candidate.arm, q, width)):
+                self._reject_line(step, name, LineError("collision", 0.0, q), scene, hands, candidate, width)
+                return False
+        return True
+
+    # --- lines of one candidate with the other arm left out: made once ---------------------------------------------------
+
+    def _lines(self, k: int, candidate: _Candidate) -> _Lines:
+        """All branches' lines that are free of table, stand, pieces and the arm itself; lists are empty where there are none."""
+        key = (k, candidate.arm, candidate.grasp)
+        if key not in self._made:
+            insertions = self._make_insertions(k, candidate)
+            self._made[key] = _Lines(insertions, self._make_picks(k, candidate) if insertions else [])
+        return self._made[key]
+
+    def _settled_before(self, k: int) -> dict[str, Array]:
+        return {s.piece: self.workcell.settled[s.piece] for s in self.plan.steps[:k]}
+
+    def _insertion_scene(self, k: int, placed: dict[str, Array], hands: Hands, candidate: _Candidate, alone: bool = False) -> Scene:
+        step, cell = self.plan.steps[k], self.workcell
+        remaining = {s.piece: self.feed.pose(s.piece) for s in self.plan.steps[k + 1 :]}
+        meant = frozenset(p for p in cell.touching if step.piece in p)
+        carried = (step.piece, inverse(candidate.T_piece_tcp))
+        return cell.scene({**placed, **remaining}, hands, candidate.arm, carried, meant, alone)
+
+    def _pick_scenes(
+        self, k: int, placed: dict[str, Array], hands: Hands, candidate: _Candidate, alone: bool = False
+    ) -> tuple[Scene, Scene]:
         step, cell, arm = self.plan.steps[k], self.workcell, candidate.arm
-        others = np.delete(state.hands.qs, arm, axis=0)
-        key = (k, arm, candidate.grasp, others.tobytes())
-        if key in self._picks:
-            return self._picks[key]
-        self._picks[key] = None
+        poses = {**placed, **{s.piece: self.feed.pose(s.piece) for s in self.plan.steps[k:]}}
+        carried = (step.piece, inverse(candidate.T_piece_tcp))
+        lying = frozenset({frozenset({step.piece, TABLE})})
+        return cell.scene(poses, hands, arm, alone=alone), cell.scene(poses, hands, arm, carried, lying, alone)
+
+    def _make_insertions(self, k: int, candidate: _Candidate) -> list[Array]:
+        step, cell = self.plan.steps[k], self.workcell
+        T_goal = cell.settled[step.piece] @ candidate.T_piece_tcp
+        hands = cell.idle().gripping(candidate.arm, step.piece)
+        scene = self._insertion_scene(k, self._settled_before(k), hands, candidate, alone=True)
+        solutions = self.robot.inverse(candidate.arm, T_goal, self.robot.home[candidate.arm])
+        if not len(solutions):
+            self._reject(step, f"{self.robot.arm(candidate.arm).name} arm does not reach the goal")
+        away = (-np.array(step.direction), step.way + RUN_IN)
+        lines = [self._trace(step, "insertion", candidate, q, T_goal, away, scene, hands, candidate.width) for q in solutions]
+        return [line for line in lines if line is not None]
+
+    def _make_picks(self, k: int, candidate: _Candidate) -> list[tuple[Array, Array]]:
+        step, cell, arm = self.plan.steps[k], self.workcell, candidate.arm
         T_pick = self.feed.pose(step.piece) @ candidate.T_piece_tcp
-        feed = {s.piece: self.feed.pose(s.piece) for s in self.plan.steps[k:]}
-        hands = state.hands.gripping(arm, step.piece)
-        open_width = candidate.width + 2 * OPENING
-        arriving = cell.scene({**state.placed, **feed}, hands, arm)
-        leaving = cell.scene(
-            {**state.placed, **feed}, hands, arm, (step.piece, inverse(candidate.T_piece_tcp)), frozenset({frozenset({step.piece, TABLE})})
-        )
+        hands = cell.idle().gripping(arm, step.piece)
+        arriving, leaving = self._pick_scenes(k, self._settled_before(k), hands, candidate, alone=True)
         solutions = self.robot.inverse(arm, T_pick, self.robot.home[arm])
         if not len(solutions):
             self._reject(step, f"{self.robot.arm(arm).name} arm does not reach the feed")
+        back, up = (-T_pick[:3, 2], APPROACH), (np.array([0.0, 0.0, 1.0]), LIFT)
+        picks = []
         for q in solutions:
-            scene, name = arriving, "approach"
-            try:
-                approach = line_back(
-                    self.robot, arm, q, T_pick, -T_pick[:3, 2], APPROACH,
-                    lambda p: arriving.collides(cell.configuration(hands, arm, p, open_width)),
-                )  # fmt: skip
-                scene, name = leaving, "lift"
-                lift = line_back(
-                    self.robot, arm, q, T_pick, np.array([0.0, 0.0, 1.0]), LIFT,
-                    lambda p: leaving.collides(cell.configuration(hands, arm, p, candidate.width)),
-                )  # fmt: skip
-            except LineError as error:
-                self._reject_line(step, name, error, scene, hands, candidate)
+            approach = self._trace(step, "approach", candidate, q, T_pick, back, arriving, hands, candidate.width + 2 * OPENING)
+            if approach is None:
                 continue
-            self._picks[key] = (approach[-1], q, lift[-1])
-            return self._picks[key]
-        return None
+            lift = self._trace(step, "lift", candidate, q, T_pick, up, leaving, hands, candidate.width)
+            if lift is not None:
+                picks.append((approach, lift))
+        return picks
+
+    def _trace(
+        self, step: PlanStep, name: str, candidate: _Candidate, q: Array, T: Array, away: tuple[Array, float], scene: Scene, hands: Hands, width: float
+    ) -> Array | None:
+        try:
+            return line_back(
+                self.robot, candidate.arm, q, T, *away,
+                lambda p: scene.collides(self.workcell.configuration(hands, candidate.arm, p, width)),
+            )  # fmt: skip
+        except LineError as error:
+            self._reject_line(step, name, error, scene, hands, candidate, width)
+            return None
 
     def _releases(
         self, k: int, state: _State, candidate: _Candidate, q_goal: Array
@@ -400,12 +458,10 @@ class Scheduler:
         return line[-1]
 
     def _reject_line(
-        self, step: PlanStep, line: str, error: LineError, scene: object, hands: Hands, candidate: _Candidate | None
+        self, step: PlanStep, line: str, error: LineError, scene: Scene, hands: Hands, candidate: _Candidate | None, width: float = 0.0
     ) -> None:
         if error.cause != "collision" or error.q is None or candidate is None:
             self._reject(step, f"{line}: {error.cause}")
             return
-        pairs = scene.colliding(self.workcell.configuration(hands, candidate.arm, error.q, candidate.width))  # type: ignore[attr-defined]
+        pairs = scene.colliding(self.workcell.configuration(hands, candidate.arm, error.q, width))
         self._reject(step, f"{line}: {pairs[0][0]} meets {pairs[0][1]}" if pairs else f"{line}: collision")
-
-

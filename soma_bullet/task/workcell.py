@@ -115,11 +115,13 @@ class Workcell:
         arm: int,
         carried: tuple[str, Array] | None = None,
         touching: frozenset[frozenset[str]] = frozenset(),
+        alone: bool = False,
     ) -> Scene:
-        """A scene in which one arm moves, possibly carrying (piece, T_tcp_piece), and the others stand still."""
+        """A scene in which one arm moves, possibly carrying (piece, T_tcp_piece), and the others stand still or (`alone`) are left out."""
         still = {name: pose for name, pose in poses.items() if carried is None or name != carried[0]}
         held = {} if carried is None else {carried[0]: (arm, carried[1])}
-        return self.collision.scene(Situation(still, frozenset({arm}), held, hands.gripped, touching))
+        absent = frozenset(k for k in range(len(self.cell.arms)) if alone and k != arm)
+        return self.collision.scene(Situation(still, frozenset({arm}), held, hands.gripped, touching, absent))
 
     def configuration(self, hands: Hands, arm: int, q: Array, opening: float | None = None) -> Array:
         """pinocchio's vector with one arm at q."""

@@ -62,7 +62,9 @@ def areas(assembly: Assembly) -> dict[tuple[int, int], float]:
     return total
 
 
-@pytest.mark.parametrize(("name", "squares", "pairs", "standing"), [("cube", 34, 14, 9), ("soma3", 5, 3, 1), ("soma4", 10, 4, 3)])
+@pytest.mark.parametrize(
+    ("name", "squares", "pairs", "standing"), [("cube", 34, 14, 9), ("soma3", 5, 3, 1), ("soma4", 10, 4, 3)]
+)
 def test_contact_area_of_the_soma_assemblies(name: str, squares: int, pairs: int, standing: int) -> None:
     found = areas(ASSEMBLIES[name])
     between = {pair: area for pair, area in found.items() if pair[0] != SUPPORT}
