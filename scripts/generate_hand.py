@@ -41,6 +41,12 @@ def chamfered(low: tuple[float, ...], high: tuple[float, ...], chamfer: float) -
     return trimesh.convex.convex_hull(np.array(points))
 
 
+def band(x: float, y: float, chamfer: float, low: float, high: float) -> trimesh.Trimesh:
+    """An upright slab of half sizes x and y [m] with its four upright edges bevelled."""
+    outline = [(sx * a, sy * b) for sx in (-1, 1) for sy in (-1, 1) for a, b in ((x - chamfer, y), (x, y - chamfer))]
+    return trimesh.convex.convex_hull(np.array([(*corner, z) for corner in outline for z in (low, high)]))
+
+
 def turned(profile: list[tuple[float, float]], sections: int = 48) -> trimesh.Trimesh:
     """The convex solid of revolution about z through (radius, z) points [m]."""
     angles = np.linspace(0, 2 * np.pi, sections, endpoint=False)
@@ -55,7 +61,7 @@ def meshes() -> dict[str, trimesh.Trimesh]:
         "coupling": turned([(0.0195, 0.0), (0.0195, 0.009), (0.0185, 0.010)]),
         "collar": turned([(0.0180, 0.008), (0.0180, 0.016)]),
         "palm": chamfered((-px, -py, 0.014), (px, py, 0.058), 0.003),
-        "stripe": chamfered((-px - 1e-4, -py - 1e-4, 0.0495), (px + 1e-4, py + 1e-4, 0.0525), 0.0014),
+        "stripe": band(px + 1.5e-4, py + 1.5e-4, 0.003, 0.0485, 0.0525),
         "rail": chamfered((-px + 0.0015, -py + 0.003, 0.056), (px - 0.0015, py - 0.003, pz), 0.0015),
     }
     tall = FINGER[1] / 2
@@ -132,7 +138,8 @@ def urdf_text() -> str:
         shown = {f"finger_{side}": "metal", f"pad_{side}": "rubber", f"carriage_{side}": "dark"}
         text += link(f"finger_{side}", inertial(FINGER_MASS, FINGER, centre), shown, (FINGER, centre))
         text += (f'  <joint name="finger_{side}_joint" type="prismatic">\n    <parent link="palm"/>\n'
-                 f'    <child link="finger_{side}"/>\n    <origin xyz="{xyz((0, 0, TCP_Z))}"/>\n    <axis xyz="{sign:g} 0 0"/>\n'
+                 f'    <child link="finger_{side}"/>\n    <origin xyz="{xyz((0, 0, TCP_Z))}"/>\n'
+                 f'    <axis xyz="{sign:g} 0 0"/>\n'
                  f'    <limit lower="0" upper="{TRAVEL:g}" effort="{EFFORT:g}" velocity="{VELOCITY:g}"/>\n  </joint>\n')
     text += link("tcp", tiny, {}, None)
     return text + fixed("tcp_joint", "palm", "tcp", (0.0, 0.0, TCP_Z)) + "</robot>\n"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
 from soma_bullet.frames import Array, readonly
@@ -147,7 +148,7 @@ def _distinct(values: Array, tolerance: float = 1e-6) -> Array:
     return ordered[np.concatenate([[True], np.diff(ordered) > tolerance])]
 
 
-def _maximal_boxes(filled: Array) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
+def _maximal_boxes(filled: NDArray[np.bool_]) -> list[tuple[tuple[int, ...], tuple[int, ...]]]:
     """Index ranges [low, high) of all boxes of filled cells that no filled box contains."""
     total = np.zeros(np.array(filled.shape) + 1, int)
     total[1:, 1:, 1:] = filled.cumsum(0).cumsum(1).cumsum(2)
@@ -158,8 +159,9 @@ def _maximal_boxes(filled: Array) -> list[tuple[tuple[int, ...], tuple[int, ...]
         count += total[a, b, f] + total[a, e, c] + total[d, b, c] - total[a, b, c]
         return bool(count == (d - a) * (e - b) * (f - c))
 
-    found: set[tuple[tuple[int, ...], tuple[int, ...]]] = set()
-    start = [((int(i), int(j), int(k)), (int(i) + 1, int(j) + 1, int(k) + 1)) for i, j, k in np.argwhere(filled)]
+    start: list[tuple[tuple[int, ...], tuple[int, ...]]] = [
+        ((int(i), int(j), int(k)), (int(i) + 1, int(j) + 1, int(k) + 1)) for i, j, k in np.argwhere(filled)
+    ]
     seen, maximal = set(start), []
     while start:
         low, high = start.pop()
@@ -174,7 +176,6 @@ def _maximal_boxes(filled: Array) -> list[tuple[tuple[int, ...], tuple[int, ...]
                 if (new_low, new_high) not in seen:
                     seen.add((new_low, new_high))
                     start.append((new_low, new_high))
-        if not grown and (low, high) not in found:
-            found.add((low, high))
+        if not grown:
             maximal.append((low, high))
     return sorted(maximal)

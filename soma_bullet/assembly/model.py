@@ -82,8 +82,8 @@ class Assembly:
     def drops(self) -> Array:
         """How far each piece settles below its nominal goal when it is put down (n,) [m].
 
-        A piece on the support drops by its clearance; one on others by both clearances plus the smallest drop among the pieces that
-        carry it (it rests on the highest). A piece that nothing carries keeps its goal.
+        A piece on the support drops by its clearance; one on others by both clearances plus the smallest drop among the pieces
+        that carry it (it rests on the highest). A piece that nothing carries keeps its goal.
         """
         upward = np.cos(np.deg2rad(60.0))
         carriers: list[set[int]] = [set() for _ in self.pieces]

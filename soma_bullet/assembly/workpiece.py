@@ -29,7 +29,8 @@ class Workpiece:
         faces: triangles (f, 3), outward by the right-hand rule.
         density: [kg/m3].
         friction: Coulomb coefficient against the other pieces and the support.
-        clearance: how much every face of the real body stands back from the nominal mesh [m]; two pieces fit with a gap of twice that.
+        clearance: how much every face of the real body stands back from the nominal mesh [m]; two pieces fit with a gap of
+            twice that.
         color: red, green, blue in 0..1, for pictures.
     """
 
@@ -86,7 +87,8 @@ class Workpiece:
         hull = self.mesh.convex_hull
         if hull.volume > self.mesh.volume * (1 + CONVEX_TOLERANCE):
             raise NotDecomposableError(
-                f"piece {self.name!r} is neither made of boxes nor convex: its hull has {hull.volume / self.mesh.volume:.3f} x its volume"
+                f"piece {self.name!r} is neither made of boxes nor convex: "
+                f"its hull has {hull.volume / self.mesh.volume:.3f} x its volume"
             )
         return (hull_of_points(np.asarray(self.vertices)),)
 

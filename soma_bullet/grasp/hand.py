@@ -218,7 +218,8 @@ def load_hand(path: Path | str) -> Hand:
     if faults:
         raise InputError(str(path), faults)
     return Hand(
-        name, urdf.resolve(), mount, palm, finger_links, finger_joints, tcp, opening, readonly(pad_size),
+        name, urdf.resolve(), mount, palm, (finger_links[0], finger_links[1]), (finger_joints[0], finger_joints[1]),
+        tcp, opening, readonly(pad_size),
         friction, force, (float(low), float(high)), readonly(T_mount_tcp), *boxes,
     )  # fmt: skip
 

@@ -196,6 +196,14 @@ class Scene:
             )
         return bool(pin.computeCollisions(self.robot.model, self.data, self._broad_phase, configuration, True))
 
+    def first_collision(self, configuration: Array) -> tuple[str, str] | None:
+        """One pair of bodies that are too near, or None; cheaper than `colliding`."""
+        pin.computeCollisions(self.robot.model, self.data, self.geometry, self.geometry_data, configuration, True)
+        for pair, result in zip(self.geometry.collisionPairs, self.geometry_data.collisionResults, strict=True):
+            if result.isCollision():
+                return self.collision_model.bodies[pair.first], self.collision_model.bodies[pair.second]
+        return None
+
     def colliding(self, configuration: Array) -> list[tuple[str, str, float]]:
         """The pairs of bodies that are too near, with their distance [m], nearest first."""
         pin.computeDistances(self.robot.model, self.data, self.geometry, self.geometry_data, configuration)

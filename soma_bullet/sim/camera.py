@@ -27,6 +27,7 @@ Frame = NDArray[np.uint8]
 
 _NEAR, _FAR = 0.05, 12.0  # [m]
 _AWAY = (0.0, 0.0, -100.0)  # where what is not shown waits
+_LARGEST = (1024, 768)  # [pixels] of one OpenGL picture
 _EMPTY = 0.99999  # of the depth buffer: nothing was drawn there
 _BACKDROP = ((0.97, 0.975, 0.98), (0.80, 0.825, 0.855))  # rgb at the top and the bottom of the picture
 _LIGHT = (0.0, -1.0, 6.0)
@@ -76,9 +77,9 @@ class Camera:
 
 
 CAMERAS: Mapping[str, Camera] = {
-    "front": Camera((0.0, 0.0, 0.20), 1.75, 0.0, -22.0),
-    "three_quarter": Camera((0.0, 0.0, 0.16), 1.80, 32.0, -28.0),
-    "close": Camera((0.0, 0.0, 0.13), 0.62, 24.0, -20.0),
+    "front": Camera((0.0, 0.0, 0.21), 1.75, 0.0, -20.0),
+    "three_quarter": Camera((0.0, 0.0, 0.22), 1.95, -36.0, -25.0),
+    "close": Camera((0.0, 0.0, 0.15), 0.62, -42.0, -20.0),
     "top": Camera((0.0, 0.0, 0.0), 2.00, 0.0, -89.0),
     "left": Camera((0.0, 0.0, 0.18), 1.75, -62.0, -24.0),
     "right": Camera((0.0, 0.0, 0.18), 1.75, 62.0, -24.0),
@@ -118,6 +119,17 @@ class Studio:
         renderer: str = "auto",
         supersampling: float = 1.0,
     ):
+        """Opens the studio.
+
+        Args:
+            urdf: as `compose_urdf` writes it; mesh paths absolute.
+            size: width and height of the pictures, even.
+            renderer: `auto` takes EGL where it works; `egl` insists on it; `tiny` needs nothing.
+            supersampling: 2 for stills; 1 smooths edges afterwards; 0.8 is the fastest at 1280 x 720.
+
+        Raises:
+            InputError: the size or the renderer is unknown, or `egl` was insisted on in vain.
+        """
         if renderer not in ("auto", "egl", "tiny"):
             raise InputError("renderer", f"{renderer!r}: must be auto, egl or tiny")
         if size[0] % 2 or size[1] % 2 or min(size) < 16:
@@ -126,13 +138,18 @@ class Studio:
 
         self._p = pybullet
         self.size = size
-        self._inner = tuple(2 * round(n * supersampling / 2) for n in size)
+        self._inner = (round(size[0] * supersampling), round(size[1] * supersampling))
+        self._tiles = [(slice(top, bottom), slice(left, right)) for top, bottom in _cuts(self._inner[1], _LARGEST[1])
+                       for left, right in _cuts(self._inner[0], _LARGEST[0])]  # fmt: skip
         self._files = tempfile.TemporaryDirectory(prefix="soma_bullet_studio_")
         self._arrows: dict[tuple[float, look.Colour], int] = {}
         with silenced():
             self.client = pybullet.connect(pybullet.DIRECT)
             self.renderer, self.reason = self._start_renderer(renderer)
             self._build(Path(urdf), pieces)
+            if self.renderer == "egl":
+                for _ in range(3):  # the OpenGL plugin draws shadows from its third picture on
+                    self._picture(CAMERAS["top"], [(slice(0, 16), slice(0, 16))])
         if renderer == "egl" and self.renderer != "egl":
             self.close()
             raise InputError("renderer", f"egl is not available: {self.reason}")
@@ -169,7 +186,8 @@ class Studio:
         lean = look.lean_urdf(urdf, Path(self._files.name) / "cell.urdf")
         flags = p.URDF_USE_INERTIA_FROM_FILE
         self._robot = p.loadURDF(str(lean), useFixedBase=True, flags=flags, physicsClientId=client)
-        infos = [p.getJointInfo(self._robot, i, physicsClientId=client) for i in range(p.getNumJoints(self._robot, physicsClientId=client))]
+        count = p.getNumJoints(self._robot, physicsClientId=client)
+        infos = [p.getJointInfo(self._robot, i, physicsClientId=client) for i in range(count)]
         self._joints = {info[1].decode(): info[0] for info in infos if info[2] != p.JOINT_FIXED}
         self.joint_names = tuple(self._joints)
         for i in range(-1, len(infos)):
@@ -245,17 +263,30 @@ class Studio:
         T[:3, :3], T[:3, 3] = np.stack((x, np.cross(z, x), z), axis=1), arrow.start
         self._place(self._arrows[key], *to_quat_xyzw(T))
 
-    def _picture(self, camera: Camera) -> Frame:
+    def _picture(self, camera: Camera, tiles: Sequence[tuple[slice, slice]] | None = None) -> Frame:
+        """The camera's picture, put together from tiles: the OpenGL plugin draws 1024 x 768 and stretches what is larger."""
         p, (width, height) = self._p, self._inner
         view = p.computeViewMatrixFromYawPitchRoll(camera.target, camera.distance, camera.yaw, camera.pitch, 0, 2)
-        projection = p.computeProjectionMatrixFOV(camera.fov, width / height, _NEAR, _FAR)
+        top = _NEAR * math.tan(math.radians(camera.fov) / 2)
+        pixel = 2 * top / height  # on the near plane
+        rgba, depth = np.empty((height, width, 4), np.uint8), np.empty((height, width), np.float32)
+        for rows, columns in tiles or self._tiles:
+            left, upper = (columns.start - width / 2) * pixel, top - rows.start * pixel
+            w, h = columns.stop - columns.start, rows.stop - rows.start
+            projection = p.computeProjectionMatrix(left, left + w * pixel, upper - h * pixel, upper, _NEAR, _FAR)
+            rgba[rows, columns], depth[rows, columns] = self._shoot(view, projection, w, h)
+        return self._finished(rgba, depth)
+
+    def _shoot(self, view: Sequence[float], projection: Sequence[float], width: int, height: int) -> tuple[Frame, Array]:
+        """Colours (h, w, 4) and depths (h, w) of one picture, from view and projection as PyBullet gives them."""
+        p = self._p
         _, _, rgba, depth, _ = p.getCameraImage(
             width, height, view, projection, shadow=1, lightDirection=_LIGHT, lightDistance=3.0, lightColor=(1, 1, 1),
             lightAmbientCoeff=0.70, lightDiffuseCoeff=0.35, lightSpecularCoeff=0.05,
             renderer=p.ER_BULLET_HARDWARE_OPENGL if self.renderer == "egl" else p.ER_TINY_RENDERER,
             flags=p.ER_NO_SEGMENTATION_MASK, physicsClientId=self.client,
         )  # fmt: skip
-        return self._finished(np.reshape(rgba, (height, width, 4)), np.reshape(depth, (height, width)))
+        return np.reshape(rgba, (height, width, 4)), np.reshape(depth, (height, width))
 
     def _finished(self, rgba: NDArray[np.uint8], depth: NDArray[np.float32]) -> Frame:
         """The picture before a soft gradient, scaled down: no horizon, and no wall in a camera's way."""
@@ -263,9 +294,27 @@ class Studio:
 
         picture = Image.fromarray(rgba).convert("RGB")
         picture.paste(_backdrop(picture.size), mask=Image.fromarray((depth >= _EMPTY).astype(np.uint8) * 255))
-        if picture.size != self.size:
-            picture = picture.resize(self.size, Image.Resampling.BOX)
+        if self._inner[0] < 2 * self.size[0]:
+            picture = _softened(picture)
+        if self._inner != self.size:
+            larger = self._inner[0] >= self.size[0]
+            picture = picture.resize(self.size, Image.Resampling.BOX if larger else Image.Resampling.BICUBIC)
         return np.asarray(picture)
+
+
+def _softened(picture):
+    """The Pillow picture with its edges, and only these, smoothed: the OpenGL plugin has no antialiasing."""
+    from PIL import Image, ImageFilter
+
+    edges = picture.convert("L").filter(ImageFilter.FIND_EDGES).filter(ImageFilter.BoxBlur(0.7))
+    mask = edges.point([min(255, max(0, 9 * (v - 4))) for v in range(256)])
+    return Image.composite(picture.filter(ImageFilter.GaussianBlur(0.75)), picture, mask)
+
+
+def _cuts(length: int, largest: int) -> list[tuple[int, int]]:
+    """`length` pixels in equal parts of at most `largest`."""
+    ends = np.linspace(0, length, math.ceil(length / largest) + 1).round().astype(int).tolist()
+    return list(zip(ends[:-1], ends[1:], strict=True))
 
 
 @lru_cache(maxsize=4)
@@ -306,11 +355,12 @@ def _band(size: tuple[int, int], text: str, subtitle: str, note: str, rgb: look.
     draw.rectangle((0, top, width, height), fill=(18, 22, 28, 190))
     draw.rectangle((0, top, round(8 * unit), height), fill=(*(round(255 * c) for c in rgb), 255))
     left = round(32 * unit)
+    grey = (214, 220, 228, 255)
     draw.text((left, top + round(14 * unit)), text, font=_font(round(26 * unit), True), fill=(255, 255, 255, 255))
     if subtitle:
-        draw.text((left, top + round(54 * unit)), subtitle, font=_font(round(19 * unit), False), fill=(214, 220, 228, 255))
+        draw.text((left, top + round(54 * unit)), subtitle, font=_font(round(19 * unit), False), fill=grey)
     if note:
-        draw.text((width - left, top + tall / 2), note, font=_font(round(19 * unit), False), fill=(214, 220, 228, 255), anchor="rm")
+        draw.text((width - left, top + tall / 2), note, font=_font(round(19 * unit), False), fill=grey, anchor="rm")
     return band
 
 
@@ -335,9 +385,9 @@ def write_video(path: Path, frames: Iterable[Frame], fps: float = 25.0, quality:
     import av
 
     path.parent.mkdir(parents=True, exist_ok=True)
-    stream, count = None, 0
+    stream = None
     with av.open(str(path), "w", options={"movflags": "faststart"}) as container:
-        for count, picture in enumerate(frames, 1):
+        for picture in frames:
             if stream is None:
                 stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1000))
                 stream.height, stream.width = picture.shape[:2]
@@ -346,7 +396,7 @@ def write_video(path: Path, frames: Iterable[Frame], fps: float = 25.0, quality:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")))
         if stream is not None:
             container.mux(stream.encode())
-    if not count:
+    if stream is None:
         path.unlink(missing_ok=True)
         raise InputError(str(path), "no frames to write")
     return path

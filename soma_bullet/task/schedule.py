@@ -7,6 +7,7 @@ each other, and a hold has its certificate. Every rejection is counted under its
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -29,7 +30,7 @@ APPROACH = 0.06  # [m] straight approach to a grasp and retreat from it
 LIFT = 0.06  # [m] straight up from the feed
 RUN_IN = 0.012  # [m] of insertion beyond the piece's own size
 SMALLEST_MARGIN = 1.0  # of a hold's certificate
-TRIES = 60  # grasps of one step that may fail behind it before the search turns back
+WIDTHS = (8, 24, 72, 1_000_000)  # candidates a step in each round of the search: broad and shallow before deep
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +117,10 @@ class _Lines:
     insertions: list[Array]
     picks: list[tuple[Array, Array]]
 
+    @property
+    def complete(self) -> bool:
+        return bool(self.insertions and self.picks)
+
 
 class Scheduler:
     """Searches schedules of one plan, feed and cell; checks that two schedules share are made once."""
@@ -127,41 +132,39 @@ class Scheduler:
         self.rejections: Counter[str] = Counter()
         self.excluded: set[tuple[int, int, int]] = set()  # (step, arm, grasp) that a later stage ruled out
         self._made: dict[tuple[int, int, int], _Lines] = {}
+        self._scenes: dict[tuple[object, ...], Scene] = {}
         self._certificates: dict[tuple[int, int], HoldCertificate] = {}
 
     def find(self) -> Schedule:
         """The first schedule. Raises NoSolutionError with what blocked, most frequent first."""
         state = _State({}, self.workcell.idle())
-        for assignments in self._search(0, state):
-            return Schedule(tuple(assignments), dict(self.rejections.most_common()))
+        for width in WIDTHS:
+            for assignments in self._search(0, state, width):
+                return Schedule(tuple(assignments), dict(self.rejections.most_common()))
         raise NoSolutionError(
             "schedule", f"no arm and grasp serve every step of {' <- '.join(self.plan.order)}", self.rejections
         )
 
-    def _search(self, k: int, state: _State) -> Iterator[list[Assignment]]:
+    def _search(self, k: int, state: _State, width: int) -> Iterator[list[Assignment]]:
         if k == len(self.plan.steps):
             yield []
             return
-        tries = 0
-        for candidate in self._candidates(k, state):
+        for candidate in itertools.islice(self._candidates(k, state), width):
             if (k, candidate.arm, candidate.grasp) in self.excluded:
                 continue
             outcome = self._try(k, state, candidate)
             if outcome is None:
                 continue
             assignment, after = outcome
-            for rest in self._search(k + 1, after):
+            for rest in self._search(k + 1, after, width):
                 yield [assignment, *rest]
-            tries += 1
-            if tries >= TRIES:
-                return
 
     def _reject(self, step: PlanStep, reason: str) -> None:
         self.rejections[f"{step.piece}: {reason}"] += 1
 
     # --- candidates, cheapest first ------------------------------------------------------------------------------------
 
-    def _candidates(self, k: int, state: _State) -> list[_Candidate]:
+    def _candidates(self, k: int, state: _State) -> Iterator[_Candidate]:
         """Grasps of the step's piece, with arms, that pass the tests of the hand alone; the most promising first."""
         step = self.plan.steps[k]
         poses, widths = grasp_poses(self.plan, step.piece)
@@ -173,7 +176,7 @@ class Scheduler:
         indices = np.array(sorted(chosen), int)
         if not len(indices):
             self._reject(step, "no accessible grasp" + (" that may hold it" if stays else ""))
-            return []
+            return
         clear = self._clear_at_feed(k, poses[indices], widths[indices])
         self.rejections[f"{step.piece}: hand touches the table or a piece at the feed"] += int((~clear).sum())
         indices = indices[clear]
@@ -188,15 +191,17 @@ class Scheduler:
         tcp = feed @ poses[indices]
         reach = np.linalg.norm(tcp[:, :3, 3] - com, axis=1)
         tilt = np.arccos(np.clip(-tcp[:, 2, 2], -1, 1))
-        crowded = self._crowding(k, poses[indices], widths[indices]) if stays else np.zeros(len(indices))
-        cost = reach / 0.03 + (1 - contact[indices]) + 0.5 * tilt + crowded
-        candidates = []
+        cost = reach / 0.03 + (1 - contact[indices]) + 0.5 * tilt
+        distance = {arm: np.linalg.norm(com - self.robot.arm(arm).T_world_base[:3, 3]) for arm in free_arms}
+        groups: dict[tuple[float, ...], list[_Candidate]] = {}  # by arm and direction of the hand: each may fail as a whole
         for rank in np.argsort(np.round(cost, 9), kind="stable"):
             g = int(indices[rank])
-            distance = {arm: np.linalg.norm(com - self.robot.arm(arm).T_world_base[:3, 3]) for arm in free_arms}
             for arm in sorted(free_arms, key=lambda a: distance[a]):
-                candidates.append(_Candidate(arm, g, poses[g], float(widths[g]), float(contact[g])))
-        return candidates
+                key = (arm, *np.round(poses[g][:3, 2] * 4), *np.round(poses[g][:3, 0] * 4))
+                groups.setdefault(key, []).append(_Candidate(arm, g, poses[g], float(widths[g]), float(contact[g])))
+        usable = [(c for c in group if self._lines(k, c).complete) for group in groups.values()]
+        for turn in itertools.zip_longest(*usable):
+            yield from (c for c in turn if c is not None)
 
     def _clear_at_feed(self, k: int, poses: Array, widths: Array) -> Array:
         step = self.plan.steps[k]
@@ -223,34 +228,11 @@ class Scheduler:
             clear &= (sweep.separation(holder) > MARGIN) & (leaving.separation(holder) > MARGIN)
         return clear
 
-    def _crowding(self, k: int, poses: Array, widths: Array) -> Array:
-        """How much a hold would crowd the next step: minus the fraction of the next step's grasps that it leaves (n,)."""
-        if k + 1 >= len(self.plan.steps):
-            return np.zeros(len(poses))
-        step, following = self.plan.steps[k], self.plan.steps[k + 1]
-        next_poses, next_widths = grasp_poses(self.plan, following.piece)
-        indices = np.array(following.grasps, int)
-        if not len(indices):
-            return np.zeros(len(poses))
-        sparse = indices[:: max(1, len(indices) // 60)]
-        sweep = sweep_hand(
-            self.hand, self.workcell.goals[following.piece] @ next_poses[sparse], next_widths[sparse],
-            way_out=0.0, sweep=-np.array(following.direction) * (following.way + RUN_IN),
-        )  # fmt: skip
-        left = [
-            float(np.mean(sweep.separation(hand_hulls(self.hand, self.workcell.goals[step.piece] @ T, w)) > MARGIN))
-            for T, w in zip(poses, widths, strict=True)
-        ]
-        return np.where(np.array(left) > 0, -4.0 * np.array(left), 100.0)
-
     # --- one candidate -------------------------------------------------------------------------------------------------
 
     def _try(self, k: int, state: _State, candidate: _Candidate) -> tuple[Assignment, _State] | None:
         """The assignment of a candidate and the state after it, or None with the reason counted."""
         step = self.plan.steps[k]
-        lines = self._lines(k, candidate)
-        if not lines.insertions or not lines.picks:
-            return None
         certificate = None
         if any(hold.piece == step.piece for hold in step.holds):
             certificate = self._certificate(k, candidate)
@@ -344,16 +326,33 @@ class Scheduler:
         remaining = {s.piece: self.feed.pose(s.piece) for s in self.plan.steps[k + 1 :]}
         meant = frozenset(p for p in cell.touching if step.piece in p)
         carried = (step.piece, inverse(candidate.T_piece_tcp))
-        return cell.scene({**placed, **remaining}, hands, candidate.arm, carried, meant, alone)
+        scene = self._scene("insertion", k, {**placed, **remaining}, hands, candidate.arm, carried, meant, alone)
+        return scene
 
     def _pick_scenes(
         self, k: int, placed: dict[str, Array], hands: Hands, candidate: _Candidate, alone: bool = False
     ) -> tuple[Scene, Scene]:
-        step, cell, arm = self.plan.steps[k], self.workcell, candidate.arm
+        step, arm = self.plan.steps[k], candidate.arm
         poses = {**placed, **{s.piece: self.feed.pose(s.piece) for s in self.plan.steps[k:]}}
         carried = (step.piece, inverse(candidate.T_piece_tcp))
         lying = frozenset({frozenset({step.piece, TABLE})})
-        return cell.scene(poses, hands, arm, alone=alone), cell.scene(poses, hands, arm, carried, lying, alone)
+        return (
+            self._scene("approach", k, poses, hands, arm, None, frozenset(), alone),
+            self._scene("lift", k, poses, hands, arm, carried, lying, alone),
+        )
+
+    def _scene(
+        self, name: str, k: int, poses: dict[str, Array], hands: Hands, arm: int,
+        carried: tuple[str, Array] | None, touching: frozenset[frozenset[str]], alone: bool,
+    ) -> Scene:  # fmt: skip
+        """A scene, or the one made for another grasp of the same step with the piece put differently into the hand."""
+        others = () if alone else tuple(sorted(hands.gripped.items()))
+        key = (name, k, arm, others)
+        if key not in self._scenes:
+            self._scenes[key] = self.workcell.scene(poses, hands, arm, carried, touching, alone)
+        elif carried is not None:
+            self._scenes[key].attach(carried[0], arm, carried[1])
+        return self._scenes[key]
 
     def _make_insertions(self, k: int, candidate: _Candidate) -> list[Array]:
         step, cell = self.plan.steps[k], self.workcell
@@ -463,5 +462,5 @@ class Scheduler:
         if error.cause != "collision" or error.q is None or candidate is None:
             self._reject(step, f"{line}: {error.cause}")
             return
-        pairs = scene.colliding(self.workcell.configuration(hands, candidate.arm, error.q, width))
-        self._reject(step, f"{line}: {pairs[0][0]} meets {pairs[0][1]}" if pairs else f"{line}: collision")
+        pair = scene.first_collision(self.workcell.configuration(hands, candidate.arm, error.q, width))
+        self._reject(step, f"{line}: {pair[0]} meets {pair[1]}" if pair else f"{line}: collision")

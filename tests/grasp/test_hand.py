@@ -110,9 +110,9 @@ def test_visuals_stay_inside_the_collision_boxes_when_closed() -> None:
 
     hand = load_hand(FOLDER / "hand.toml")
     model = yourdfpy.URDF.load(str(hand.urdf))
-    bounds = np.array([np.min([b.T[:3, 3] - b.half for b in hand.boxes(0)], 0), np.max([b.T[:3, 3] + b.half for b in hand.boxes(0)], 0)])
+    low, high = (np.array([b.T[:3, 3] + sign * b.half for b in hand.boxes(0)]) for sign in (-1, 1))
     shown = model.scene.bounds - hand.T_mount_tcp[:3, 3]
-    assert (shown[0] > bounds[0] - 2e-4).all() and (shown[1] < bounds[1] + 2e-4).all()
+    assert (shown[0] > low.min(0) - 2e-4).all() and (shown[1] < high.max(0) + 2e-4).all()
 
 
 def test_the_committed_hand_is_what_the_script_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -130,5 +130,6 @@ def test_grasp_needs_no_simulator() -> None:
 
     code = ("import sys, soma_bullet.grasp.hand as h; h.load_hand(sys.argv[1]); "
             "print([m for m in ('pybullet', 'pinocchio', 'coal', 'ompl') if m in sys.modules])")  # fmt: skip
-    done = subprocess.run([sys.executable, "-c", code, str(FOLDER / "hand.toml")], capture_output=True, text=True, cwd=ROOT, check=True)
+    command = [sys.executable, "-c", code, str(FOLDER / "hand.toml")]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True)
     assert done.stdout.strip() == "[]"
