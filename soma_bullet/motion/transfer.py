@@ -141,7 +141,20 @@ def _shortcut(path: Array, collides: Check, rng: np.random.Generator) -> Array:
         b = points[j] + (points[j + 1] - points[j]) * (second - lengths[j]) / (lengths[j + 1] - lengths[j])
         if edge_free(a, b, collides):
             points = [*points[: i + 1], a, b, *points[j + 1 :]]
-    return _without_repeats(np.array(points))
+    return _without_crumbs(np.array(points), collides)
+
+
+def _without_crumbs(path: Array, collides: Check) -> Array:
+    """The path without inner waypoints that a free edge can skip where they lie close together: they would make tight corners."""
+    points = list(_without_repeats(path))
+    k = 1
+    while k < len(points) - 1:
+        short = min(np.abs(points[k] - points[k - 1]).max(), np.abs(points[k + 1] - points[k]).max()) < 2 * BLEND
+        if short and edge_free(points[k - 1], points[k + 1], collides):
+            del points[k]
+        else:
+            k += 1
+    return np.array(points)
 
 
 def _without_repeats(path: Array) -> Array:

@@ -1,0 +1,1 @@
+"""What an episode reports: figures of merit, for people and for files."""
