@@ -10,11 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Indices = NDArray[np.int_]
 
 
 def readonly(array: ArrayLike, dtype: type = float) -> NDArray:
     """A read-only copy of `array`: what frozen values carry."""
-    copy = np.array(array, dtype=dtype)
+    copy: NDArray = np.array(array, dtype=dtype)
     copy.setflags(write=False)
     return copy
 
@@ -69,9 +71,9 @@ def from_quat_xyzw(translation: ArrayLike, quat_xyzw: ArrayLike) -> Array:
 
 
 def to_quat_xyzw(transform: ArrayLike) -> tuple[Array, Array]:
-    """Translation (3,) [m] and quaternion (x, y, z, w), w >= 0, of a transform (4, 4)."""
+    """Translations (..., 3) [m] and quaternions (x, y, z, w) (..., 4), w >= 0, of one transform (4, 4) or of many (n, 4, 4)."""
     transform = np.asarray(transform, float)
-    return transform[:3, 3].copy(), Rotation.from_matrix(transform[:3, :3]).as_quat(canonical=True)
+    return transform[..., :3, 3].copy(), Rotation.from_matrix(transform[..., :3, :3]).as_quat(canonical=True)
 
 
 def tangents(normal: ArrayLike) -> tuple[Array, Array]:

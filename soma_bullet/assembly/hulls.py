@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,7 @@ class Hull:
     edges: Array
     box: tuple[Array, Array, Array] | None = None
 
-    @property
+    @cached_property
     def axes(self) -> Array:
         """Face normals (k, 3), one for each direction up to sign."""
         return unique_directions(self.normals)

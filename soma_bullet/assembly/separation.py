@@ -13,11 +13,15 @@ import numpy as np
 from soma_bullet.assembly.hulls import Hull, unique_directions
 from soma_bullet.frames import Array
 
+FAR = 0.005  # [m] beyond every margin that is asked for
+SMALLEST_AXIS = 1e-9  # a shorter cross product comes from parallel edges
+
 
 def zonotope_separation(centres: Array, generators: Array, hulls: Sequence[Hull]) -> Array:
     """Largest gap over the separating axes between n zonotopes and the nearest of some polytopes.
 
     A zonotope is centre + sum of [-1, 1] * generator: a box has three generators, a box swept along a line four.
+    Pairs that a face normal parts by more than FAR are not looked at along the crossed edges, which could only add to the gap.
 
     Args:
         centres: (n, 3) [m].
@@ -30,22 +34,52 @@ def zonotope_separation(centres: Array, generators: Array, hulls: Sequence[Hull]
     separation = np.full(len(centres), np.inf)
     if not len(centres):
         return separation
-    g = generators.shape[1]
-    first, second = np.triu_indices(g, 1)
-    own = np.cross(generators[:, first], generators[:, second])  # (n, pairs, 3)
+    # coordinates first: sums over them are then sums of whole arrays
+    middle, spread = centres.T, np.moveaxis(generators, 2, 0)
+    first, second = np.triu_indices(generators.shape[1], 1)
+    own = _cross(spread[:, :, first], spread[:, :, second])
+    own_span = _span(own, middle, spread)
     for hull in hulls:
-        fixed = np.broadcast_to(hull.axes, (len(centres), *hull.axes.shape))
-        crossed = np.cross(generators[:, :, None], hull.edges[None, None]).reshape(len(centres), -1, 3)
-        axes = np.concatenate([own, fixed, crossed], axis=1)
-        length = np.linalg.norm(axes, axis=2)
-        usable = length > 1e-9
-        axes = axes / np.where(usable, length, 1.0)[..., None]
-        middle = np.einsum("nak,nk->na", axes, centres)
-        reach = np.abs(np.einsum("nak,ngk->nag", axes, generators)).sum(axis=2)
-        projected = axes @ hull.vertices.T  # (n, a, v)
-        gap = np.maximum(projected.min(axis=2) - middle - reach, middle - reach - projected.max(axis=2))
-        separation = np.minimum(separation, np.where(usable, gap, -np.inf).max(axis=1))
+        shared = np.broadcast_to(hull.axes.T[:, None], (3, len(centres), len(hull.axes)))
+        gap = _widest_gap(own, own_span, hull)
+        gap = np.maximum(gap, _widest_gap(shared, _span(shared, middle, spread), hull))
+        near = np.flatnonzero(gap < FAR)
+        crossed = _cross(spread[:, near, :, None], hull.edges.T[:, None, None]).reshape(3, len(near), -1)
+        gap[near] = np.maximum(gap[near], _widest_gap(crossed, _span(crossed, middle[:, near], spread[:, near]), hull))
+        separation = np.minimum(separation, gap)
     return separation
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """Cross products of vectors whose coordinates are the first axis."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def _span(axes: Array, middle: Array, spread: Array) -> tuple[Array, Array]:
+    """Middle and half width (n, a) of zonotopes seen along axes (3, n, a) of any length."""
+    at = axes[0] * middle[0][:, None] + axes[1] * middle[1][:, None] + axes[2] * middle[2][:, None]
+    reach = np.zeros(axes.shape[1:])
+    for g in np.moveaxis(spread, 2, 0):
+        reach += np.abs(axes[0] * g[0][:, None] + axes[1] * g[1][:, None] + axes[2] * g[2][:, None])
+    return at, reach
+
+
+def _widest_gap(axes: Array, span: tuple[Array, Array], hull: Hull) -> Array:
+    """Largest gap (n,) [m] along axes (3, n, a) of any length; -inf where all of them vanish."""
+    at, reach = span
+    flat = axes.reshape(3, -1)
+    if hull.box is not None:
+        centre, box_axes, half = hull.box
+        away = np.abs(at - (centre @ flat).reshape(at.shape))
+        extent = np.abs((box_axes * half[:, None]) @ flat).sum(axis=0).reshape(at.shape)
+        gap = away - extent - reach
+    else:
+        projected = hull.vertices @ flat
+        low, high = projected.min(axis=0).reshape(at.shape), projected.max(axis=0).reshape(at.shape)
+        gap = np.maximum(low - at, at - high) - reach
+    length = np.sqrt((axes * axes).sum(axis=0))
+    usable = length > SMALLEST_AXIS
+    return np.where(usable, gap / np.where(usable, length, 1.0), -np.inf).max(axis=1, initial=-np.inf)
 
 
 def plane_separation(centres: Array, generators: Array, height: float) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 
 from soma_bullet.assembly.hulls import Hull, box_hull
 from soma_bullet.assembly.separation import plane_separation, zonotope_separation
-from soma_bullet.frames import Array
+from soma_bullet.frames import Array, Mask
 from soma_bullet.grasp.hand import Box, Hand
 
 OPENING = 0.004  # [m] a side by which a hand opens to let go
@@ -33,8 +33,9 @@ class HandSweep:
 
     def separation(self, hulls: Sequence[Hull]) -> Array:
         """Smallest gap (n,) [m] between any box and any polytope; negative is a penetration."""
-        gaps = [zonotope_separation(c, g, hulls) for c, g in zip(self.centres, self.generators, strict=True)]
-        return np.min(gaps, axis=0)
+        boxes, grasps, generators, _ = self.generators.shape
+        gaps = zonotope_separation(self.centres.reshape(-1, 3), self.generators.reshape(-1, generators, 3), hulls)
+        return gaps.reshape(boxes, grasps).min(axis=0)
 
     def above(self, height: float) -> Array:
         """Smallest gap (n,) [m] to the half-space below `height`."""
@@ -100,12 +101,12 @@ def hand_hulls(hand: Hand, T_tcp: Array, width: float) -> list[Hull]:
     return hulls
 
 
-def clear_of_piece(hand: Hand, Ts_tcp: Array, widths: Array, parts: Sequence[Hull]) -> Array:
+def clear_of_piece(hand: Hand, Ts_tcp: Array, widths: Array, parts: Sequence[Hull]) -> Mask:
     """Which of n grasps (TCP poses in the parts' frame) keep the hand out of the gripped piece itself: bool (n,)."""
     return sweep_hand(hand, Ts_tcp, widths).separation(parts) > -TOUCH
 
 
-def clear_of_scene(sweep: HandSweep, hulls: Sequence[Hull], support_height: float | None) -> Array:
+def clear_of_scene(sweep: HandSweep, hulls: Sequence[Hull], support_height: float | None) -> Mask:
     """Which of n swept hands keep their margins to polytopes and to the support: bool (n,)."""
     clear = sweep.separation(hulls) > MARGIN
     if support_height is not None:

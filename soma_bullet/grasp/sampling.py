@@ -11,7 +11,7 @@ from shapely import affinity
 
 from soma_bullet.assembly.facets import Facet
 from soma_bullet.assembly.workpiece import Workpiece
-from soma_bullet.frames import Array, readonly
+from soma_bullet.frames import Array, Indices, readonly
 from soma_bullet.grasp.hand import Hand
 
 
@@ -51,7 +51,7 @@ class GraspSet:
     def __len__(self) -> int:
         return len(self.widths)
 
-    def take(self, indices: Array) -> GraspSet:
+    def take(self, indices: Indices) -> GraspSet:
         """The grasps at `indices`, in that order."""
         return GraspSet(*(readonly(field[indices]) for field in (self.Ts_piece_tcp, self.widths, self.contact)))
 
@@ -67,7 +67,7 @@ def sample_grasps(piece: Workpiece, hand: Hand, options: SamplingOptions | None 
     The set depends on the piece and the hand alone (a grid, no random numbers), so that qualities of orders compare.
     """
     options = options or SamplingOptions()
-    friction = min(piece.friction * hand.pad_friction, 2.0)
+    friction = np.sqrt(piece.friction * hand.pad_friction)
     widest = hand.opening - 2 * options.opening_margin
     transforms, widths, contacts = [], [], []
     facets = piece.facets

@@ -233,10 +233,8 @@ def _steps(qualities: Qualities, orders: Orders, row: OrderRow) -> tuple[PlanSte
 
 def _table(qualities: Qualities, piece: int) -> GraspTable:
     grasps = qualities.grasps(piece)
-    poses = [np.concatenate(to_quat_xyzw(T)) for T in grasps.Ts_piece_tcp]
-    return GraspTable(
-        qualities.assembly.names[piece], np.round(np.array(poses).reshape(-1, 7), 9), np.round(grasps.widths, 9), grasps.contact
-    )
+    poses = np.hstack(to_quat_xyzw(grasps.Ts_piece_tcp))
+    return GraspTable(qualities.assembly.names[piece], np.round(poses, 9) + 0.0, np.round(grasps.widths, 9), grasps.contact)
 
 
 def _states(rows: list[OrderRow]) -> list[tuple[str, ...]]:

@@ -234,6 +234,7 @@ class _Builder:
             raise MotionError(a, f"{piece}: {kind}: {self._blame(error, context, arm, wide)}") from None
         except TimingError as error:
             raise MotionError(a, f"{piece}: {kind}: {error}") from None
+        opening = np.nan if kind == "transfer" else opening  # keep squeezing
         return Segment(kind, a.step, arm, piece, readonly(path), readonly(np.zeros(3)), opening, 0.0, 0.0)
 
     def _blame(self, error: TransferError, context: _Context, arm: int, width: float) -> str:

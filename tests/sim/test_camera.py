@@ -7,7 +7,8 @@ import pytest
 
 from soma_bullet.errors import InputError
 from soma_bullet.frames import make_transform
-from soma_bullet.robot.cell import compose_urdf, load_cell
+from soma_bullet.robot.cell import load_cell
+from soma_bullet.robot.compose import compose_urdf
 from soma_bullet.sim import look
 from soma_bullet.sim.camera import CAMERAS, Arrow, Camera, PieceVisual, Studio, _cuts, caption, write_video
 

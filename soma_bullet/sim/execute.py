@@ -1,0 +1,165 @@
+"""Runs segments in the world, one at a time, and reports what a real cell would know.
+
+The simulator is told joint targets and hand commands, nothing else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from soma_bullet.frames import Array, readonly, to_quat_xyzw
+from soma_bullet.robot.cell import Cell
+from soma_bullet.sim.log import ExecutionLog, Recorder, SegmentRecord
+from soma_bullet.sim.world import World
+from soma_bullet.task.program import Program, Segment
+
+TARE = 0.1  # [s] at rest before a guarded segment
+FILTER = 4  # samples of the force that are averaged
+JAM = 2e-3  # [m] a guarded placing that stops farther from its end is jammed
+EMPTY = 2e-3  # [m] pads nearer to each other than a piece's width less this hold nothing
+FINAL_SETTLE = 2.0  # [s] after both hands have let go
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """What a real cell knows after a segment.
+
+    Attributes:
+        outcome: see SegmentRecord.
+        qs: measured joints (arms, 6) [rad].
+        openings: measured distances between the pads (arms,) [m].
+        force: wrist's force against its start at the end (3,) [N].
+        remaining: travel that was left [m].
+    """
+
+    outcome: str
+    qs: Array
+    openings: Array
+    force: Array
+    remaining: float
+
+
+class Executor:
+    """Feeds segments to a world and records everything."""
+
+    def __init__(self, world: World, program: Program):
+        self.world, self.program = world, program
+        self.recorder = Recorder()
+        self.bodies = [*world.link_ids, *world.pieces]
+        self._codes = {(world.robot, link): k for k, link in enumerate(world.link_ids.values())}
+        self._codes |= {(body, -1): len(world.link_ids) + k for k, body in enumerate(world.pieces.values())}
+        self._codes[world.robot, -1] = self.bodies.index("world") if "world" in self.bodies else len(self.bodies)
+        if "world" not in self.bodies:
+            self.bodies.append("world")
+
+    def run(self, segment: Segment) -> Observation:
+        """Run one segment to its end or to its guard."""
+        world, start = self.world, self.world.time
+        if segment.kind == "grasp":
+            world.close_hand(segment.arm)
+        elif not np.isnan(segment.opening):
+            world.open_hand(segment.arm, segment.opening)
+        outcome, remaining, peak, force = "as planned", 0.0, 0.0, np.zeros(3)
+        if len(segment.path):
+            outcome, remaining, peak, force = self._follow(segment)
+        else:
+            self.wait(segment.duration)
+        if segment.kind == "grasp" and world.openings()[segment.arm] < self._width(segment) - EMPTY:
+            outcome = "lost"
+        self.recorder.segments.append(
+            SegmentRecord(
+                segment.kind, segment.step, world.cell.arms[segment.arm].name, segment.piece, start, world.time, outcome,
+                segment.offset, peak, remaining,
+            )  # fmt: skip
+        )
+        return Observation(outcome, world.measured_joints(), world.openings(), readonly(force), remaining)
+
+    def _width(self, segment: Segment) -> float:
+        return next(a.width for a in self.program.schedule.assignments if a.step == segment.step)
+
+    def _follow(self, segment: Segment) -> tuple[str, float, float, Array]:
+        """Feed a path; stop where the wrist's force has changed by more than the guard."""
+        world, arm = self.world, segment.arm
+        if segment.guard:
+            tare = self._mean_force(arm, TARE)
+        else:
+            tare = world.wrench(arm)[:3]
+        recent: list[Array] = []
+        peak = 0.0
+        for k, q in enumerate(segment.path[1:], 1):
+            world.command_arm(arm, q)
+            self._step()
+            if not segment.guard and k % 5:
+                continue
+            recent = [*recent[1 - FILTER :], world.wrench(arm)[:3]]
+            change = np.mean(recent, axis=0) - tare
+            force = float(np.linalg.norm(change))
+            peak = max(peak, force) if segment.guard or segment.kind == "insert" else peak
+            if segment.guard and force > segment.guard and len(recent) == FILTER:
+                remaining = float(np.linalg.norm(segment.offset)) * self._fraction_left(segment, k)
+                return ("jammed" if remaining > JAM else "stopped early"), remaining, peak, change
+        return "as planned", 0.0, peak, np.zeros(3)
+
+    def _fraction_left(self, segment: Segment, k: int) -> float:
+        travelled = np.abs(segment.path[k] - segment.path[0]).sum()
+        return float(1.0 - travelled / max(np.abs(segment.path[-1] - segment.path[0]).sum(), 1e-12))
+
+    def _mean_force(self, arm: int, duration: float) -> Array:
+        forces = []
+        for _ in range(round(duration / self.world.physics.dt)):
+            self._step()
+            forces.append(self.world.wrench(arm)[:3])
+        return np.mean(forces, axis=0)
+
+    def wait(self, duration: float) -> None:
+        """Hold everything where it is commanded for `duration` [s]."""
+        for _ in range(round(duration / self.world.physics.dt)):
+            self._step()
+
+    def settle(self) -> None:
+        """The final rest before judgement."""
+        start = self.world.time
+        self.wait(FINAL_SETTLE)
+        self.recorder.segments.append(
+            SegmentRecord("final", -1, "", "", start, self.world.time, "as planned", readonly(np.zeros(3)), 0.0, 0.0)
+        )
+
+    def _step(self) -> None:
+        self.world.step()
+        if self.world.steps % self.world.physics.record_every == 0:
+            self._record()
+
+    def _record(self) -> None:
+        world = self.world
+        grips = np.zeros(len(world.cell.arms))
+        finger = {(world.robot, link): arm for arm, links in enumerate(world.finger_links) for link in links}
+        for a, b, force, distance in world.contacts():
+            self.recorder.touch(self._codes[a], self._codes[b], force, distance)
+            for side in (a, b):
+                if side in finger:
+                    grips[finger[side]] += force / 2
+        self.recorder.add(
+            times=world.time,
+            joints=world.all_joints(),
+            targets=world.targets,
+            poses=[np.concatenate(to_quat_xyzw(pose)) for pose in world.piece_poses().values()],
+            tcps=[np.concatenate(to_quat_xyzw(pose)) for pose in world.tcp_poses()],
+            wrenches=[world.wrench(arm) for arm in range(len(world.cell.arms))],
+            grips=grips,
+        )
+
+    def log(self, ended: str) -> ExecutionLog:
+        """The record so far."""
+        program, cell = self.program, self.world.cell
+        return ExecutionLog(
+            cell=_cell_reference(cell), assembly=program.assembly, digest=program.digest, seed=program.seed, order=program.order,
+            stand=program.stand, T_world_assembly=program.T_world_assembly, joint_names=self.world.moving_joints,
+            arm_names=tuple(arm.name for arm in cell.arms), piece_names=tuple(self.world.pieces), bodies=tuple(self.bodies),
+            segments=tuple(self.recorder.segments), constraints=self.world.constraints(), ended=ended, **self.recorder.arrays(),
+        )  # fmt: skip
+
+
+def _cell_reference(cell: Cell) -> str:
+    return cell.name
