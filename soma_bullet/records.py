@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import tempfile
 import zipfile
 from collections.abc import Callable
@@ -16,13 +17,16 @@ from pathlib import Path
 from typing import Any, TypeVar, get_origin
 
 import numpy as np
-from cattrs import Converter
+from cattrs import Converter, transform_error
 from cattrs.errors import BaseValidationError
 
 from soma_bullet.errors import InputError
 
 T = TypeVar("T")
 SCHEMA = 1  # of every file that this package writes
+VERSIONED = (
+    "soma_bullet", "pybullet", "ompl", "numpy", "scipy", "highspy", "shapely", "pin", "coal", "eaik", "toppra", "trimesh",
+)  # fmt: skip
 
 _converter = Converter(forbid_extra_keys=True)
 _is_array = lambda kind: kind is np.ndarray or get_origin(kind) is np.ndarray  # noqa: E731
@@ -38,7 +42,9 @@ def _frozen(value: Any) -> np.ndarray:
 
 
 def _numbers(value: Any) -> Any:
-    return [_numbers(v) for v in value] if isinstance(value, list) else float(value) if value in ("inf", "-inf", "nan") else value
+    if isinstance(value, list):
+        return [_numbers(v) for v in value]
+    return float(value) if value in ("inf", "-inf", "nan") else value
 
 
 def to_tree(value: Any) -> Any:
@@ -70,8 +76,6 @@ def write_json(value: Any, path: Path) -> None:
 
 def _compact(text: str) -> str:
     """Innermost lists of numbers on one line."""
-    import re
-
     return re.sub(r"\[\s+([^\[\]{}\"]*?)\s+\]", lambda m: "[" + re.sub(r"\s+", " ", m.group(1)) + "]", text)
 
 
@@ -135,8 +139,6 @@ def _structure(kind: type[T], tree: Any, path: Path) -> T:
     try:
         return _converter.structure(tree, kind)
     except (BaseValidationError, ValueError, TypeError, KeyError) as error:
-        from cattrs import transform_error
-
         raise InputError(str(path), [f"is not a {kind.__name__}: {line}" for line in transform_error(error)]) from None
 
 
@@ -156,9 +158,8 @@ def _replace(path: Path, write: Callable[[str], Any]) -> None:
 
 def package_versions() -> dict[str, str]:
     """Versions of this package and of those whose numbers a result depends on."""
-    names = ("soma_bullet", "pybullet", "ompl", "numpy", "scipy", "highspy", "shapely", "pin", "coal", "eaik", "toppra", "trimesh")
     found = {}
-    for name in names:
+    for name in VERSIONED:
         try:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:

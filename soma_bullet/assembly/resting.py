@@ -12,7 +12,10 @@ SMALLEST_TILT = np.deg2rad(5.0)  # [rad] a pose that a smaller tilt upsets is no
 
 
 def resting_poses(piece: Workpiece) -> Array:
-    """T_plane_piece (k, 4, 4), the real body (inset by its clearance) on z = 0 and its centre of mass above the origin, most stable first."""
+    """T_plane_piece (k, 4, 4), most stable first.
+
+    The real body (inset by its clearance) lies on z = 0, its centre of mass above the origin.
+    """
     hull = ConvexHull(piece.vertices)
     found: list[tuple[float, Array]] = []
     for normal, offset in _planes(hull):

@@ -44,8 +44,9 @@ def zonotope_separation(centres: Array, generators: Array, hulls: Sequence[Hull]
         gap = _widest_gap(own, own_span, hull)
         gap = np.maximum(gap, _widest_gap(shared, _span(shared, middle, spread), hull))
         near = np.flatnonzero(gap < FAR)
-        crossed = _cross(spread[:, near, :, None], hull.edges.T[:, None, None]).reshape(3, len(near), -1)
-        gap[near] = np.maximum(gap[near], _widest_gap(crossed, _span(crossed, middle[:, near], spread[:, near]), hull))
+        if len(near):
+            crossed = _cross(spread[:, near, :, None], hull.edges.T[:, None, None]).reshape(3, len(near), -1)
+            gap[near] = np.maximum(gap[near], _widest_gap(crossed, _span(crossed, middle[:, near], spread[:, near]), hull))
         separation = np.minimum(separation, gap)
     return separation
 

@@ -15,6 +15,7 @@ from soma_bullet.errors import InputError
 from soma_bullet.frames import Array, make_transform, readonly
 from soma_bullet.toml_fields import Fields, read_toml
 
+
 @dataclass(frozen=True)
 class Box:
     """A solid box. T (4, 4) places its centre in the frame at hand, half (3,) [m] are its half sizes."""

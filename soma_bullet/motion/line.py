@@ -17,7 +17,13 @@ Check = Callable[[Array], bool]
 
 
 class LineError(Exception):
-    """No line: `cause` is `unreachable`, `branch` (a joint jumps or leaves its limits) or `collision`; `at` is where [m] from its end."""
+    """No line.
+
+    Attributes:
+        cause: `unreachable` (also where only joints beyond their limits reach), `branch` (a joint jumps) or `collision`.
+        at: distance from where the tracing began [m].
+        q: the joints (6,) that fail, where there are any.
+    """
 
     def __init__(self, cause: str, at: float, q: Array | None = None):
         super().__init__(cause)

@@ -145,7 +145,7 @@ def _shortcut(path: Array, collides: Check, rng: np.random.Generator) -> Array:
 
 
 def _without_crumbs(path: Array, collides: Check) -> Array:
-    """The path without inner waypoints that a free edge can skip where they lie close together: they would make tight corners."""
+    """The path without close inner waypoints that a free edge can skip: they would make tight corners."""
     points = list(_without_repeats(path))
     k = 1
     while k < len(points) - 1:

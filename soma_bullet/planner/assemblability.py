@@ -6,22 +6,23 @@ dimension of its lineality space); the best direction maximises the smallest n_i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import nnls
 
 from soma_bullet.assembly.contacts import Contact
 from soma_bullet.assembly.hulls import Hull
 from soma_bullet.assembly.separation import swept_separation
-from soma_bullet.frames import Array
+from soma_bullet.frames import Array, Mask
 
 Scale = Literal["finite", "ordinal"]
 
 SNAP = np.deg2rad(2.0)  # [rad] normals closer than this are one
 SMALLEST_CLEARANCE = 0.02  # a smaller t* counts as none
+IN_SPAN = 1 - 1e-9  # length of a unit vector, projected, that counts as lying in a span
 PENETRATION = 1e-4  # [m] a sweep may touch but not enter
 
 TYPES = {
@@ -79,11 +80,22 @@ def snap_normals(normals: Array) -> Array:
     return np.array(kept).reshape(-1, 3)
 
 
-def nearest_of_hull(normals: Array) -> Array:
-    """The point (3,) of conv{n_i} nearest to the origin, by non-negative least squares."""
-    heavy = 1e3  # weight of the row that makes the coefficients sum to one
-    weights, _ = nnls(np.vstack([normals.T, heavy * np.ones(len(normals))]), np.array([0.0, 0.0, 0.0, heavy]))
-    return normals.T @ (weights / weights.sum())
+def widest_direction(normals: Array) -> tuple[Array, float]:
+    """The unit d (3,) with the largest min n_i . d over unit normals (n, 3), and that clearance t*; t* <= 0 where none is legal.
+
+    At the best d at most three of the n_i . d are smallest, and equal: each choice of them gives one candidate. (The point of
+    conv{n_i} nearest to the origin is t* d; non-negative least squares finds it too, but fails on dependent normals.)
+    """
+    candidates = [normals]
+    for count in (2, 3):
+        chosen = np.array(list(itertools.combinations(range(len(normals)), count)), int).reshape(-1, count)
+        candidates.append(np.linalg.pinv(normals[chosen]).sum(axis=2))
+    directions = np.vstack(candidates)
+    length = np.linalg.norm(directions, axis=1)
+    directions = directions[length > 1e-9] / length[length > 1e-9, None]
+    clearances = np.round((directions @ normals.T).min(axis=1), 12)
+    best = int(np.argmax(clearances))
+    return directions[best], float(clearances[best])
 
 
 def analyse_freedom(normals: Array) -> Freedom:
@@ -98,26 +110,35 @@ def analyse_freedom(normals: Array) -> Freedom:
         if not len(flat):
             normals = flat
             break
-        nearest = nearest_of_hull(flat)
-        clearance = float(np.linalg.norm(nearest))
+        best, clearance = widest_direction(flat)
         if clearance >= SMALLEST_CLEARANCE:
-            best = nearest / clearance
             return Freedom(
                 TYPES[len(span), min(lineality, len(span))], clearance, best, _alternatives(best, flat, span), span
             )
-        # the origin lies in the hull: the normals of its face there are equalities, d moves only across them
-        equalities = np.array([n for n in flat if _is_equality(n, flat)])
-        span = _complement(span, equalities if len(equalities) else flat)
+        # normals that face each other are equalities: d moves only across them
+        facing = _facing(flat, span)
+        span = _complement(span, flat[facing] if facing.any() else flat)
     if not len(span):
         return Freedom("locked", 0.0, None, np.zeros((0, 3)), span)
-    best = next((d for d in (np.array([0.0, 0.0, 1.0]), *span) if np.linalg.norm(span @ d) > 0.99), span[0])
+    best = next((d for d in (np.array([0.0, 0.0, 1.0]), *span) if np.linalg.norm(span @ d) > IN_SPAN), span[0])
     return Freedom(TYPES[len(span), len(span)], 1.0, best, _alternatives(best, np.zeros((0, 3)), span), span)
 
 
-def _is_equality(normal: Array, normals: Array) -> bool:
-    """Whether -normal lies in the cone of the normals, so that every legal d has normal . d = 0."""
-    _, residual = nnls(normals.T, -normal)
-    return bool(residual < SMALLEST_CLEARANCE)
+def _facing(normals: Array, span: Array) -> Mask:
+    """Which of the unit normals (n, 3), all in the span (m, 3), every legal d of the span meets at a right angle."""
+    rays = [*span, *_complement(span, normals)]
+    if len(span) == 3:
+        along = [normals, _complement(span, normals)]
+        rays += [np.cross(a, b) for a, b in itertools.combinations(np.vstack(along), 2)]
+    elif len(span) == 2:
+        rays += list(np.cross(np.cross(*span), normals))
+    directions = np.array(rays)
+    length = np.linalg.norm(directions, axis=1)
+    directions = directions[length > 1e-6] / length[length > 1e-6, None]
+    seen = np.vstack([directions, -directions]) @ normals.T
+    legal = seen[seen.min(axis=1) > -SMALLEST_CLEARANCE]
+    # slivers that open by less than the smallest clearance on each side count as shut
+    return legal.max(axis=0, initial=0.0) < 4 * SMALLEST_CLEARANCE
 
 
 def _complement(span: Array, normals: Array) -> Array:
@@ -139,7 +160,7 @@ def _alternatives(best: Array, normals: Array, span: Array) -> Array:
         candidates += [s * np.cross(np.cross(*span), n) for n in normals for s in (1, -1)]
     legal: list[Array] = []
     for d in candidates:
-        inside = np.linalg.norm(span @ d) > 0.999 and (not len(normals) or (normals @ d).min() > -1e-6)
+        inside = np.linalg.norm(span @ d) > IN_SPAN and (not len(normals) or (normals @ d).min() > -1e-6)
         if inside and all(d @ other < 0.9999 for other in [best, *legal]):
             legal.append(d)
     legal += [m / np.linalg.norm(m) for m in [best + d for d in legal] if np.linalg.norm(m) > 0.1]
@@ -160,7 +181,7 @@ def finite_quality(kind: str, clearance: float) -> float:
 
 
 def analyse_assemblability(
-    contacts: Sequence[Contact], parts: Sequence[Hull], placed_parts: dict[int, Sequence[Hull]], scale: Scale, support: float
+    contacts: Sequence[Contact], parts: Sequence[Hull], placed_parts: Mapping[int, Sequence[Hull]], scale: Scale, support: float
 ) -> Assemblability:
     """Best straight way in for a piece.
 
@@ -197,7 +218,7 @@ def _clearance_along(removal: Array, normals: Array, freedom: Freedom) -> float:
 
 
 def sweep_blockers(
-    parts: Sequence[Hull], sweep: Array, placed_parts: dict[int, Sequence[Hull]], support: float
+    parts: Sequence[Hull], sweep: Array, placed_parts: Mapping[int, Sequence[Hull]], support: float
 ) -> tuple[int, ...]:
     """Indices of the placed pieces (-1: the support) that parts swept by `sweep` (3,) [m] would enter."""
     lowest = min(float(part.vertices[:, 2].min()) for part in parts)

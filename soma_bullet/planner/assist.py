@@ -1,8 +1,8 @@
 """What an assisting grasp can take: the certificate of a hold (paper Sec. IV-F asks for the grasp; this shows that it holds).
 
-The held piece is a body like the others; its hand is two pad patches that react within pad friction and the grip force. The pads
-share twice the grip force: one may take more while the other takes less. The margin is the factor by which the specified load
-could grow: a horizontal disturbance of every placed piece and the push of the next insertion, on top of gravity.
+The held piece is a body like the others; its hand is two pad patches that react within pad friction and the grip force. The
+pads share twice the grip force: one may take more while the other takes less. The margin is the factor by which the specified
+load could grow: a horizontal disturbance of every placed piece and the push of the next insertion, on top of gravity.
 """
 
 from __future__ import annotations
@@ -83,13 +83,15 @@ def certify_hold(
     load = load or HoldLoad()
     bodies = sorted(placed)
     friction = float(np.sqrt(assembly.pieces[held].friction * hand.pad_friction))
-    columns = [contact_columns(c, assembly, bodies, frozenset({held}), sides) for c in active_contacts(assembly, placed, frozenset(), sides)]
-    pads, normals = _pad_columns(hand, T_assembly_tcp, assembly.goal_centres[held], friction, contact)
+    active = active_contacts(assembly, placed, frozenset(), sides)
+    columns = [contact_columns(c, assembly, bodies, frozenset({held}), sides) for c in active]
+    pads = _pad_columns(hand, T_assembly_tcp, assembly.goal_centres[held], friction, contact)
     block = np.zeros((6 * len(bodies), pads.shape[1]))
     row = 6 * bodies.index(held)
     block[row : row + 6] = pads
     matrix = np.hstack([*columns, block])
-    grip = np.concatenate([np.zeros(matrix.shape[1] - len(normals)), normals])
+    grip = np.zeros(matrix.shape[1])
+    grip[matrix.shape[1] - pads.shape[1] :] = 1.0
     scaling = np.concatenate([[1, 1, 1, *([1 / assembly.pieces[k].radius] * 3)] for k in bodies])
     program = RayProgram(matrix, scaling, (grip[None], np.array([2 * hand.grip_force])))
     gravity = np.zeros((len(bodies), 6))
@@ -101,15 +103,16 @@ def certify_hold(
         sway[:, :2] = np.outer(-gravity[:, 2] * load.disturbance, (np.cos(angle), np.sin(angle)))
         margins.append(program.farthest(gravity.ravel(), (push + sway).ravel()))
         wrench = (gravity + push + sway)[bodies.index(held)]
-        wrench = np.concatenate([wrench[:3], wrench[3:] + np.cross(assembly.goal_centres[held] - T_assembly_tcp[:3, 3], wrench[:3])])
+        wrench[3:] += np.cross(assembly.goal_centres[held] - T_assembly_tcp[:3, 3], wrench[:3])
         largest = max(largest, wrench, key=lambda w: float(np.linalg.norm(w[:3])))
         if margins[-1] <= 0:
             break
-    return HoldCertificate(max(0.0, min(margins)), load, hand.grip_force, friction, tuple(float(v) for v in np.round(largest, 6)))
+    fx, fy, fz, mx, my, mz = (float(v) for v in np.round(largest, 6) + 0.0)
+    return HoldCertificate(max(0.0, min(margins)), load, hand.grip_force, friction, (fx, fy, fz, mx, my, mz))
 
 
-def _pad_columns(hand: Hand, T_tcp: Array, com: Array, friction: float, contact: float) -> tuple[Array, Array]:
-    """Wrenches (6, m) on the held piece of unit normal forces at the pads' points, and the normal part of each column (m,)."""
+def _pad_columns(hand: Hand, T_tcp: Array, com: Array, friction: float, contact: float) -> Array:
+    """Wrenches (6, m) on the held piece of forces at the pads' points, each with a normal part of 1."""
     wrenches = []
     reach = hand.pad_size * PATCH * np.sqrt(contact)
     for side in (1.0, -1.0):
@@ -121,18 +124,21 @@ def _pad_columns(hand: Hand, T_tcp: Array, com: Array, friction: float, contact:
             # the gap between the pads does not matter for the moment of a pair of pads: both act at their own plane
             point = T_tcp[:3, 3] + y * reach[0] * T_tcp[:3, 1] + z * reach[1] * T_tcp[:3, 2]
             wrenches.append(np.hstack([forces, np.cross(point - com, forces)]))
-    stacked = np.vstack(wrenches)
-    return stacked.T, np.ones(len(stacked))
+    return np.vstack(wrenches).T
 
 
-def _insertion_push(assembly: Assembly, bodies: list[int], upcoming: int | None, direction: Array | None, force: float) -> Array:
-    """Wrench (bodies, 6) of the next piece pressing along its direction on the placed pieces that it will touch, shared by area."""
+def _insertion_push(
+    assembly: Assembly, bodies: list[int], upcoming: int | None, direction: Array | None, force: float
+) -> Array:
+    """Wrench (bodies, 6) of the next piece pressing along its direction on the placed pieces that it will touch.
+
+    They share it by area.
+    """
     push = np.zeros((len(bodies), 6))
     if upcoming is None or direction is None:
         return push
-    pressed = [
-        c for c in assembly.contacts_of(upcoming, frozenset(bodies)) if c.body_a in bodies and float(c.normal @ direction) < -0.1
-    ]
+    touched = [c for c in assembly.contacts_of(upcoming, frozenset(bodies)) if c.body_a in bodies]
+    pressed = [c for c in touched if float(c.normal @ direction) < -0.1]
     total = sum(c.area for c in pressed)
     for c in pressed:
         row = bodies.index(c.body_a)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import highspy
 import numpy as np
@@ -59,8 +59,9 @@ class StateStability:
 
 def classify(assembly: Assembly, placed: frozenset[int], held: frozenset[int] = frozenset()) -> StateStability:
     """Stability of the placed set with some pieces held, each a fixed body whose hand never pushes others down."""
-    margin = equilibrium_margin(assembly, placed, held, "dropped")
-    sides = margin if margin > TIE else equilibrium_margin(assembly, placed, held, "frictionless")
+    # rounded: the solver's last digits must not choose between states that are equal
+    margin = round(equilibrium_margin(assembly, placed, held, "dropped"), 9)
+    sides = margin if margin > TIE else round(equilibrium_margin(assembly, placed, held, "frictionless"), 9)
     verdict: Verdict = "robust" if margin > TIE else "clearance-dependent" if sides > TIE else "unstable"
     return StateStability(verdict, margin, sides)
 
@@ -131,8 +132,10 @@ def contact_forces(contact: Contact, mu: float, smooth: bool) -> Array:
 
 def friction_of(contact: Contact, assembly: Assembly) -> float:
     """Coulomb coefficient of a patch: the geometric mean of the two bodies'."""
-    mine = [assembly.support.friction if k == SUPPORT else assembly.pieces[k].friction for k in (contact.body_a, contact.body_b)]
-    return float(np.sqrt(mine[0] * mine[1]))
+    first, second = (
+        assembly.support.friction if k == SUPPORT else assembly.pieces[k].friction for k in (contact.body_a, contact.body_b)
+    )
+    return float(np.sqrt(first * second))
 
 
 def frictionless(contact: Contact, held: frozenset[int], sides: Sides) -> bool:
@@ -181,18 +184,13 @@ class RayProgram:
         program.col_upper_ = np.concatenate([np.full(count, highspy.kHighsInf), [LARGEST]])
         program.row_lower_ = np.concatenate([np.zeros(rows), np.full(len(extra), -highspy.kHighsInf)])
         program.row_upper_ = np.concatenate([np.zeros(rows), limits])
-        starts, index, value = [0], [], []
-        for column in matrix.T:
-            filled = np.flatnonzero(np.abs(column) > 1e-12)
-            index.append(filled)
-            value.append(column[filled])
-            starts.append(starts[-1] + len(filled))
-        starts.append(starts[-1])
+        column, row = np.nonzero(np.abs(matrix.T) > 1e-12)
+        starts = np.searchsorted(column, np.arange(count + 2))  # the last column is the push, set for each ray
         program.a_matrix_.format_ = highspy.MatrixFormat.kColwise
-        program.a_matrix_.start_ = np.array(starts, np.int32)
-        program.a_matrix_.index_ = np.concatenate(index or [np.zeros(0)]).astype(np.int32)
-        program.a_matrix_.value_ = np.concatenate(value or [np.zeros(0)])
-        self.solver = highspy.Highs()
+        program.a_matrix_.start_ = starts.astype(np.int32)
+        program.a_matrix_.index_ = row.astype(np.int32)
+        program.a_matrix_.value_ = matrix[row, column]
+        self.solver: Any = highspy.Highs()  # its stubs lack half of its methods
         self.solver.silent()
         self.solver.setOptionValue("presolve", "off")
         self.solver.setOptionValue("threads", 1)

@@ -11,6 +11,9 @@ import numpy as np
 from soma_bullet.planner.qualities import Placed, Qualities
 
 NOTHING: Placed = frozenset()
+# ((held, clearance-dependent, changes: summed, smaller is better; minus min S), held sets so far): what adds up comes before
+# what takes the least, so that the best way to a held set is part of the best way on from it
+_Label = tuple[tuple[int, int, int, float], list[Placed]]
 
 
 @dataclass(frozen=True)
@@ -77,7 +80,7 @@ class Orders:
             ways.append(self.q.assemblability(piece, before))
             g.append(self.q.graspability(piece, before))
         paper = self.q.options.stability == "paper"
-        s, recomputed, held, reason = self._paper_support(order) if paper else self._equilibrium_support(order)
+        s, recomputed, held, reason = self._paper_support(order) if paper else self.equilibrium_support(order)
         for piece, way, count in zip(order, ways, g, strict=True):
             if way.direction is None and not reason:
                 by = " and ".join("the support" if k < 0 else self.names[k] for k in way.blockers)
@@ -101,7 +104,10 @@ class Orders:
 
     def _paper_support(self, order: tuple[int, ...]) -> tuple[list[float], list[float], list[Placed], str]:
         """Raw and recomputed s, the zero sets Z(S), and what fails (paper Sec. IV-F)."""
-        raw, recomputed, held, reason = [], [], [], ""
+        raw: list[float] = []
+        recomputed: list[float] = []
+        held: list[Placed] = []
+        reason = ""
         for k, piece in enumerate(order):
             placed = frozenset(order[: k + 1])
             values = {j: self.q.paper_stability(j, placed) for j in order[: k + 1]}
@@ -110,37 +116,46 @@ class Orders:
             recomputed.append(min((v for v in values.values() if v > 0.0), default=math.inf))
             held.append(zeros)
             if len(zeros) > self.spare and not reason:
-                reason = f"{self._named(zeros)} would fall in {self._named(placed)}: {len(zeros)} to hold, {self.spare} to spare"
+                lack = f"{len(zeros)} to hold, {self.spare} to spare"
+                reason = f"{self._named(zeros)} would fall in {self._named(placed)}: {lack}"
             upcoming = order[k + 1] if k + 1 < len(order) else None
             if not reason and not self._can_hold(placed, upcoming, zeros):
                 reason = f"{self._named(zeros)} cannot be gripped clear of {self._next(upcoming)}"
         return raw, recomputed, held, reason
 
-    def _equilibrium_support(self, order: tuple[int, ...]) -> tuple[list[float], list[float], list[Placed], str]:
-        """S without and with holds, and the held sets: best min S, then fewest held, then fewest changes of hands."""
+    def equilibrium_support(self, order: tuple[int, ...]) -> tuple[list[float], list[float], list[Placed], str]:
+        """S without holds, S with them, the set that is held after each step, and what fails (empty where nothing does).
+
+        The smallest held sets win; then those with the fewest clearance-dependent states; then those with the fewest changes
+        of hands; then those of the best min S.
+        """
         raw = [self.q.stability(frozenset(order[: k + 1])).quality for k in range(len(order))]
-        labels: dict[Placed, tuple[tuple[float, int, int], list[Placed]]] = {NOTHING: ((math.inf, 0, 0), [])}
+        labels: dict[Placed, _Label] = {NOTHING: ((0, 0, 0, -math.inf), [])}
         for k, piece in enumerate(order):
             upcoming = order[k + 1] if k + 1 < len(order) else None
-            after: dict[Placed, tuple[tuple[float, int, int], list[Placed]]] = {}
-            for before, (cost, path) in labels.items():
+            after: dict[Placed, _Label] = {}
+            for before, ((count, leaning, changes, worst), path) in labels.items():
                 for held in self.held_after(frozenset(order[:k]), piece, before, upcoming):
-                    quality = self.q.stability(frozenset(order[: k + 1]), held).quality
-                    changed = len(held - before)
-                    candidate = (min(cost[0], quality), cost[1] - len(held), cost[2] - changed)
-                    if held not in after or candidate > after[held][0]:
-                        after[held] = (candidate, [*path, held])
+                    state = self.q.stability(frozenset(order[: k + 1]), held)
+                    leans = state.verdict == "clearance-dependent"
+                    cost = (count + len(held), leaning + leans, changes + len(held - before), max(worst, -state.quality))
+                    if held not in after or cost < after[held][0]:
+                        after[held] = (cost, [*path, held])
             if not after:
                 placed = frozenset(order[: k + 1])
-                held = [*max(labels.values(), key=lambda label: label[0])[1]]
-                missing = [NOTHING] * (len(order) - len(held))
-                recomputed = [self.q.stability(frozenset(order[: i + 1]), h).quality for i, h in enumerate(held)]
+                path = self._best_path(labels)
+                missing = len(order) - len(path)
                 reason = f"{self._named(placed)} falls whatever {self.spare} hand(s) could hold before {self._next(upcoming)}"
-                return raw, recomputed + [0.0] * len(missing), held + missing, reason
+                return raw, self._with_holds(order, path) + [0.0] * missing, path + [NOTHING] * missing, reason
             labels = after
-        _, path = max(labels.values(), key=lambda label: label[0])
-        recomputed = [self.q.stability(frozenset(order[: k + 1]), held).quality for k, held in enumerate(path)]
-        return raw, recomputed, path, ""
+        path = self._best_path(labels)
+        return raw, self._with_holds(order, path), path, ""
+
+    def _best_path(self, labels: dict[Placed, _Label]) -> list[Placed]:
+        return min(labels.values(), key=lambda label: label[0])[1]
+
+    def _with_holds(self, order: tuple[int, ...], path: list[Placed]) -> list[float]:
+        return [self.q.stability(frozenset(order[: k + 1]), held).quality for k, held in enumerate(path)]
 
     def held_after(self, before: Placed, piece: int, held: Placed, upcoming: int | None) -> tuple[Placed, ...]:
         """Held sets that can be reached after `piece` went in, so that a hand is free for the next piece.

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from soma_bullet.assembly.contacts import Contact
-from soma_bullet.frames import Array, rotation_about, tangents
+from soma_bullet.frames import Array, tangents
 
 KAPPA = 10.0  # bound of a contact force, in weights of the piece
 SIDES = 6  # of the friction pyramid (paper: "an inversed 6-side pyramid")
@@ -32,20 +32,22 @@ def contact_wrenches(
         turn: rotation of the pyramids about their normals [rad].
     """
     wrenches = []
+    angles = turn + 2 * np.pi * np.arange(SIDES) / SIDES
     for contact, mu in zip(contacts, friction, strict=True):
-        t, b = (rotation_about(contact.normal, turn) @ v for v in tangents(contact.normal))
-        angles = 2 * np.pi * np.arange(SIDES) / SIDES
+        t, b = tangents(contact.normal)
         forces = contact.normal + mu * (np.cos(angles)[:, None] * t + np.sin(angles)[:, None] * b)
-        for point in contact.points:
-            torques = np.cross(point - center_of_mass, forces) / radius
-            wrenches.append(np.hstack([forces, torques]))
+        torques = np.cross((contact.points - center_of_mass)[:, None], forces[None]) / radius
+        wrenches.append(np.hstack([np.tile(forces, (len(contact.points), 1)), torques.reshape(-1, 3)]))
     return np.vstack(wrenches) if wrenches else np.zeros((0, 6))
 
 
-def wrench_margin(generators: Array, kappa: float = KAPPA) -> float:
+def wrench_margin(generators: Array, kappa: float = KAPPA, joggled: bool = False) -> float:
     """Distance of the origin from the boundary of conv({0} u kappa * generators) + gravity if it is inside, else 0.
 
     Unit: weights of the piece. Source: paper Sec. IV-B, s = min{d | d in convexhull(W)}.
+
+    Args:
+        joggled: good to about 1e-8 in half the time.
     """
     if len(generators) < 6:
         return 0.0
@@ -54,8 +56,9 @@ def wrench_margin(generators: Array, kappa: float = KAPPA) -> float:
     if np.linalg.matrix_rank(points - points[0], tol=1e-9) < 6:
         return 0.0
     try:
-        hull = ConvexHull(points, qhull_options="Q12")  # many coplanar points: wide facet merges are right here
+        # many coplanar points: wide facet merges (Q12) are right here
+        hull = ConvexHull(points, qhull_options="QJ" if joggled else "Q12")
     except QhullError:
-        hull = ConvexHull(points, qhull_options="QJ")  # joggled: exact to about 1e-8
+        hull = ConvexHull(points, qhull_options="QJ")
     distance = float((-hull.equations[:, -1]).min())
     return distance if distance > INTERIOR else 0.0

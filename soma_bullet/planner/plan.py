@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,8 +12,9 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError, NoSolutionError
 from soma_bullet.frames import Array, to_quat_xyzw
 from soma_bullet.grasp.hand import Hand
-from soma_bullet.planner.orders import OrderRow, Orders
-from soma_bullet.planner.qualities import Placed, PlannerOptions, Qualities
+from soma_bullet.planner.equilibrium import TIE
+from soma_bullet.planner.orders import OrderRow, Orders, score_of
+from soma_bullet.planner.qualities import Placed, PlannerOptions, Qualities, way_length
 from soma_bullet.records import package_versions
 
 TURNS = 12  # rotations of the friction pyramid over which paper mode's sensitivity is taken
@@ -41,7 +43,8 @@ class Hold:
 
     Attributes:
         piece: its name.
-        grasps: indices of the assisting grasps in the piece's table: clear of the placed set, the support and the next piece's way.
+        grasps: indices of the assisting grasps in the piece's table: clear of the placed set, the support and the way of the
+            next piece.
     """
 
     piece: str
@@ -75,10 +78,11 @@ class PlanStep:
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Paper mode: how one piece's s depends on the frame of the friction pyramid.
+    """Paper mode: how an s of the chosen order depends on the frame of the friction pyramid.
 
     Attributes:
-        state, piece: names.
+        state: names of the placed pieces, in order.
+        piece: the one just placed, or the one whose s is the recomputed one of the step.
         s: as pinned.
         low, high: extremes over rotations of the pyramid.
     """
@@ -144,13 +148,12 @@ def make_plan(
     ranked = sorted(rows, key=lambda row: (not row.feasible, -row.score))
     candidates = [row for row in ranked if row.feasible and row.score > 0 and row.order not in excluded]
     if not candidates:
-        from collections import Counter
-
         reasons = Counter(row.reason or "score 0" for row in rows if row.order not in excluded)
         raise NoSolutionError("plan", f"none of the {len(rows)} orders of {assembly.name} can be built", reasons)
     best = candidates[0]
     ties = [row for row in candidates if math.isclose(row.score, best.score, rel_tol=1e-9)]
-    chosen = ties[int(np.random.default_rng(options.seed).integers(len(ties)))]
+    first = ties[int(np.random.default_rng(options.seed).integers(len(ties)))]
+    chosen, steps, passed_over = _first_buildable(orders, [first, *(row for row in candidates if row is not first)])
     paper = options.stability == "paper"
     return AssemblyPlan(
         assembly=assembly.name,
@@ -158,11 +161,11 @@ def make_plan(
         hand=hand.name,
         options=options,
         order=chosen.order,
-        steps=_steps(qualities, orders, chosen),
+        steps=steps,
         grasps=tuple(_table(qualities, k) for k in range(len(assembly.pieces))),
         orders=tuple(ranked),
         ties=tuple(row.order for row in ties) if len(ties) > 1 else (),
-        warnings=tuple(_false_stable(qualities, rows)) if paper else (),
+        warnings=(*passed_over, *(_false_stable(qualities, rows) if paper else ())),
         sensitivity=tuple(_sensitivity(qualities, chosen)) if paper else (),
         versions=package_versions(),
     )
@@ -170,15 +173,9 @@ def make_plan(
 
 def _paper_scores(rows: list[OrderRow]) -> list[OrderRow]:
     """Where an order is stable throughout, the assisting hand stays away and raw s counts (paper Sec. III and IV-G)."""
-    from dataclasses import replace
-
-    from soma_bullet.planner.orders import score_of
-
     if not any(row.feasible and row.stable_throughout for row in rows):
         return rows
-    return [
-        replace(row, score=score_of(row.s, row.g, row.a) if row.feasible else 0.0) for row in rows
-    ]
+    return [replace(row, score=score_of(row.s, row.g, row.a) if row.feasible else 0.0) for row in rows]
 
 
 def _check_final(assembly: Assembly, qualities: Qualities) -> None:
@@ -190,20 +187,30 @@ def _check_final(assembly: Assembly, qualities: Qualities) -> None:
     hint = f"holding {' or '.join(saved)} would keep it up" if saved else "no single hold would keep it up"
     raise InputError(
         assembly.name,
-        f"the finished assembly is not stable: it resists {final.margin:.3f} g without and {final.margin_sides:.3f} g with side "
-        f"contacts, and must resist more than 0.001 g; {hint}",
+        f"the finished assembly is not stable: it resists {final.margin:.3f} g without and {final.margin_sides:.3f} g with "
+        f"side contacts, and must resist more than {TIE:g} g; {hint}",
     )
 
 
-def _steps(qualities: Qualities, orders: Orders, row: OrderRow) -> tuple[PlanStep, ...]:
-    """Steps of the chosen order, with the holds that equilibrium asks for in either mode."""
-    assembly = qualities.assembly
-    order = tuple(assembly.index(name) for name in row.order)
-    _, _, held, reason = orders._equilibrium_support(order)
-    if reason:
-        raise NoSolutionError("plan", f"{' <- '.join(row.order)}: {reason}")
-    from soma_bullet.planner.qualities import way_length
+def _first_buildable(orders: Orders, candidates: list[OrderRow]) -> tuple[OrderRow, tuple[PlanStep, ...], list[str]]:
+    """The first order that stands in equilibrium with the hands there are, its steps, and a sentence for each passed over.
 
+    Only paper mode passes any over: it may count on states that fall.
+    """
+    reasons: list[str] = []
+    for row in candidates:
+        order = tuple(orders.names.index(name) for name in row.order)
+        _, _, held, reason = orders.equilibrium_support(order)
+        if not reason:
+            named = " <- ".join(row.order)
+            return row, _steps(orders.q, order, held), [f"passed over for {named}: {text}" for text in reasons]
+        reasons.append(f"{' <- '.join(row.order)} (score {row.score:.4g}): {reason}")
+    raise NoSolutionError("plan", "no order stands with the hands there are", Counter(reasons))
+
+
+def _steps(qualities: Qualities, order: tuple[int, ...], held: list[Placed]) -> tuple[PlanStep, ...]:
+    """Steps of an order, with the holds that equilibrium asks for in either mode."""
+    assembly = qualities.assembly
     steps = []
     for k, piece in enumerate(order):
         before, placed = frozenset(order[:k]), frozenset(order[: k + 1])
@@ -257,10 +264,14 @@ def _false_stable(qualities: Qualities, rows: list[OrderRow]) -> list[str]:
 
 
 def _sensitivity(qualities: Qualities, row: OrderRow) -> list[Sensitivity]:
+    """Of the values in the row: the s of the piece just placed, and the smallest s that needs no hand."""
     found = []
-    for k in range(len(row.order)):
-        placed = frozenset(qualities.assembly.index(name) for name in row.order[: k + 1])
-        for piece in sorted(placed):
+    for k, name in enumerate(row.order):
+        placed = frozenset(qualities.assembly.index(n) for n in row.order[: k + 1])
+        values = {j: qualities.paper_stability(j, placed) for j in sorted(placed)}
+        reported = {qualities.assembly.index(name)}
+        reported |= set(sorted((j for j in values if values[j] > 0), key=values.__getitem__)[:1])
+        for piece in sorted(reported):
             turned = [qualities.paper_stability(piece, placed, i * np.pi / 3 / TURNS) for i in range(TURNS)]
             found.append(
                 Sensitivity(row.order[: k + 1], qualities.assembly.names[piece], turned[0], min(turned), max(turned))

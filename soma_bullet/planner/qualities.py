@@ -11,9 +11,8 @@ from typing import Literal
 import numpy as np
 
 from soma_bullet.assembly.contacts import SUPPORT
-from soma_bullet.assembly.hulls import Hull
 from soma_bullet.assembly.model import Assembly
-from soma_bullet.frames import Array
+from soma_bullet.frames import Array, Indices, Mask
 from soma_bullet.grasp.clearance import clear_of_piece, clear_of_scene, sweep_hand
 from soma_bullet.grasp.hand import Hand
 from soma_bullet.grasp.sampling import GraspSet, SamplingOptions, sample_grasps
@@ -50,7 +49,7 @@ class Qualities:
         self._paper: dict[tuple[int, Placed, float], float] = {}
         self._stability: dict[tuple[Placed, Placed], StateStability] = {}
         self._grasps: dict[int, GraspSet] = {}
-        self._clear: dict[tuple[int, int], Array] = {}
+        self._clear: dict[tuple[int, int], Mask] = {}
         self._ways: dict[tuple[int, Placed], Assemblability] = {}
 
     def paper_stability(self, piece: int, placed: Placed, turn: float = 0.0) -> float:
@@ -64,7 +63,7 @@ class Qualities:
             friction = np.array([friction_of(c, self.assembly) for c in contacts])
             body = self.assembly.pieces[piece]
             generators = contact_wrenches(contacts, self.assembly.goal_centres[piece], body.radius, friction, turn)
-            self._paper[key] = wrench_margin(generators)
+            self._paper[key] = wrench_margin(generators, joggled=turn != 0.0)
         return self._paper[key]
 
     def stability(self, placed: Placed, held: Placed = frozenset()) -> StateStability:
@@ -83,7 +82,7 @@ class Qualities:
             self._grasps[piece] = sampled.take(np.flatnonzero(clear))
         return self._grasps[piece]
 
-    def accessible(self, piece: int, placed: Placed) -> Array:
+    def accessible(self, piece: int, placed: Placed) -> Indices:
         """Indices of the grasps of `piece` at its goal whose hand and way out are clear of the placed set and the support."""
         clear = self._clear_of(piece, SUPPORT).copy()
         for other in sorted(placed - {piece}):
@@ -98,7 +97,7 @@ class Qualities:
         """A and the assembly direction of `piece` into the placed set (without it)."""
         key = (piece, placed)
         if key not in self._ways:
-            others: dict[int, tuple[Hull, ...]] = {k: self.assembly.goal_parts[k] for k in sorted(placed)}
+            others = {k: self.assembly.goal_parts[k] for k in sorted(placed)}
             self._ways[key] = analyse_assemblability(
                 self.assembly.contacts_of(piece, placed),
                 self.assembly.goal_parts[piece],
@@ -108,7 +107,7 @@ class Qualities:
             )
         return self._ways[key]
 
-    def assisting(self, piece: int, placed: Placed, upcoming: int | None, direction: Array | None) -> Array:
+    def assisting(self, piece: int, placed: Placed, upcoming: int | None, direction: Array | None) -> Indices:
         """Indices of the grasps that may hold a placed piece while the next one comes in (paper Sec. IV-F).
 
         They are accessible, and clear of the next piece at its goal and along its whole way in.
@@ -123,7 +122,7 @@ class Qualities:
         sweep = sweep_hand(self.hand, goal @ chosen.Ts_piece_tcp, chosen.widths, way_out=0.0, sweep=direction * way)
         return indices[clear_of_scene(sweep, self.assembly.goal_parts[upcoming], None)]
 
-    def _clear_of(self, piece: int, other: int) -> Array:
+    def _clear_of(self, piece: int, other: int) -> Mask:
         """Which grasps of `piece` keep the hand and its way out clear of one other piece, or of the support: bool (n,)."""
         key = (piece, other)
         if key not in self._clear:

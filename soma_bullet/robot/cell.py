@@ -1,6 +1,6 @@
 """The cell: arms, hands, table and stand as described in `robots/<cell>/cell.toml`.
 
-A further cell is a further folder. Every name of a link or joint in the composed URDF (`compose.py`) carries its arm's prefix: `left_tool0`.
+A further cell is a further folder. Every link and joint carries its arm's prefix in the composed URDF (`compose.py`): `left_tool0`.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from soma_bullet.errors import InputError
 from soma_bullet.frames import Array, make_transform, readonly, rotation_about
 from soma_bullet.grasp.hand import Hand, load_hand
 from soma_bullet.toml_fields import Fields, read_toml
+
 
 @dataclass(frozen=True)
 class MeshSwap:

@@ -91,9 +91,10 @@ class CollisionModel:
         for a in range(count):
             for b in range(a + 1, count):
                 i, j = shapes[a].parentJoint, shapes[b].parentJoint
+                next_to = i == model.parents[j] or j == model.parents[i]
                 # the world is a neighbour of no joint, except that an arm's own base is its shoulder's
-                neighbours = i == j or ((i == model.parents[j] or j == model.parents[i]) and (0 not in (i, j) or self.arm_of[a] == self.arm_of[b]))
-                if not neighbours and frozenset((self.bodies[a], self.bodies[b])) not in never:
+                own = 0 not in (i, j) or self.arm_of[a] == self.arm_of[b]
+                if i != j and not (next_to and own) and frozenset((self.bodies[a], self.bodies[b])) not in never:
                     pairs.append((a, b))
         return pairs
 

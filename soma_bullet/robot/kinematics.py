@@ -20,7 +20,8 @@ FK_ERROR = 1e-6  # [m, and rad] an inverse-kinematics branch that misses its pos
 class Robot:
     """The cell's arms as one kinematic model.
 
-    Configurations: `q` (6,) is one arm's joints; `qs` (arms, 6) all arms'; `openings` (arms,) the distances between the pads [m].
+    Configurations: `q` (6,) is one arm's joints [rad]; `qs` (arms, 6) all arms'; `openings` (arms,) the distances between
+    the pads [m].
     """
 
     def __init__(self, cell: Cell, stand_size: tuple[float, float]):
@@ -77,17 +78,18 @@ class Robot:
         return np.array(self.data.oMf[self._tcp_frames[arm]].homogeneous)
 
     def inverse(self, arm: int, T_world_tcp: Array, reference: Array) -> Array:
-        """All joint vectors (k, 6) that reach a TCP pose (4, 4), each wrapped to the turn nearest to `reference` (6,), nearest first."""
+        """All joint vectors (k, 6) that reach a TCP pose (4, 4), nearest to `reference` (6,) first.
+
+        Each is wrapped to the turn nearest to it within the limits.
+        """
         solver, rotation_home = self._solvers[arm]
         pose = np.array(T_world_tcp)
         pose[:3, :3] = pose[:3, :3] @ rotation_home.T
         found = np.asarray(solver.IK(pose).Q, float).reshape(-1, 6)
         limits = self.arm(arm)
         kept: list[Array] = []
-        for q in found:
-            if not np.isfinite(q).all():
-                continue
-            q = nearest_turn(q, reference, limits.lower, limits.upper)
+        for branch in found[np.isfinite(found).all(axis=1)]:
+            q = nearest_turn(branch, reference, limits.lower, limits.upper)
             if q is None or any(np.abs(q - other).max() < 1e-6 for other in kept):
                 continue
             if np.abs(self.tcp(arm, q) - T_world_tcp).max() < FK_ERROR:

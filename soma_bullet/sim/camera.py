@@ -6,11 +6,10 @@ a GPU; elsewhere PyBullet's own software renderer, which is some five times slow
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import util
@@ -22,6 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from soma_bullet.errors import InputError
 from soma_bullet.frames import Array, to_quat_xyzw
 from soma_bullet.sim import look
+from soma_bullet.sim.quiet import pybullet, silenced
 
 Frame = NDArray[np.uint8]
 
@@ -67,6 +67,25 @@ class Camera:
     pitch: float
     fov: float = 35.0
 
+    @property
+    def axes(self) -> Array:
+        """Right, up and backward of the picture in the world, as columns (3, 3)."""
+        yaw, pitch = math.radians(self.yaw), math.radians(self.pitch)
+        backward = (math.cos(pitch) * math.sin(yaw), -math.cos(pitch) * math.cos(yaw), -math.sin(pitch))
+        right = (math.cos(yaw), math.sin(yaw), 0.0)
+        return np.stack((right, np.cross(backward, right), backward), axis=1)
+
+    @property
+    def eye(self) -> Array:
+        """Where the camera is (3,) [m]."""
+        return np.asarray(self.target) + self.distance * self.axes[:, 2]
+
+    def project(self, points: ArrayLike, aspect: float) -> Array:
+        """Where points (n, 3) are in the picture (n, 2): right and up, -1..1 from edge to edge."""
+        local = (np.asarray(points, float) - self.eye) @ self.axes
+        half = math.tan(math.radians(self.fov) / 2)
+        return local[:, :2] / (-local[:, 2:] * half * (aspect, 1.0))
+
     def orbited(self, angle: float) -> Camera:
         """The same camera, `angle` [deg] further round."""
         return replace(self, yaw=self.yaw + angle)
@@ -84,22 +103,6 @@ CAMERAS: Mapping[str, Camera] = {
     "left": Camera((0.0, 0.0, 0.18), 1.75, -62.0, -24.0),
     "right": Camera((0.0, 0.0, 0.18), 1.75, 62.0, -24.0),
 }
-
-
-@contextlib.contextmanager
-def silenced() -> Iterator[None]:
-    """Sends file descriptors 1 and 2 to nowhere: PyBullet and EGL print from C."""
-    saved = os.dup(1), os.dup(2)
-    null = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(null, 1)
-        os.dup2(null, 2)
-        yield
-    finally:
-        for descriptor, kept in zip((1, 2), saved, strict=True):
-            os.dup2(kept, descriptor)
-            os.close(kept)
-        os.close(null)
 
 
 class Studio:
@@ -134,8 +137,6 @@ class Studio:
             raise InputError("renderer", f"{renderer!r}: must be auto, egl or tiny")
         if size[0] % 2 or size[1] % 2 or min(size) < 16:
             raise InputError("size", f"{size}: width and height must be even, for the video, and at least 16")
-        import pybullet
-
         self._p = pybullet
         self.size = size
         self._inner = (round(size[0] * supersampling), round(size[1] * supersampling))
@@ -326,77 +327,51 @@ def _backdrop(size: tuple[int, int]):
     return Image.fromarray(np.ascontiguousarray(np.repeat((255 * column).astype(np.uint8)[:, None], size[0], axis=1)))
 
 
-# --- captions and video ------------------------------------------------------------------------------------------------
+class Sight:
+    """What a camera would see: rays against the collision shapes of the cell and of the pieces; a context manager.
 
-
-@lru_cache(maxsize=16)
-def _font(points: int, bold: bool):
-    from PIL import ImageFont
-
-    spec = util.find_spec("matplotlib")
-    for folder in (spec.submodule_search_locations or ()) if spec else ():
-        file = Path(folder) / "mpl-data/fonts/ttf" / ("DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf")
-        if file.is_file():
-            return ImageFont.truetype(str(file), points)
-    return ImageFont.load_default(points)
-
-
-@lru_cache(maxsize=64)
-def _band(size: tuple[int, int], text: str, subtitle: str, note: str, rgb: look.Colour):
-    """The lower third as an RGBA picture: made once per caption, not once per frame."""
-    from PIL import Image, ImageDraw
-
-    width, height = size
-    unit = height / 720
-    band = Image.new("RGBA", size, (0, 0, 0, 0))
-    draw = ImageDraw.Draw(band)
-    tall = round((92 if subtitle else 60) * unit)
-    top = height - tall
-    draw.rectangle((0, top, width, height), fill=(18, 22, 28, 190))
-    draw.rectangle((0, top, round(8 * unit), height), fill=(*(round(255 * c) for c in rgb), 255))
-    left = round(32 * unit)
-    grey = (214, 220, 228, 255)
-    draw.text((left, top + round(14 * unit)), text, font=_font(round(26 * unit), True), fill=(255, 255, 255, 255))
-    if subtitle:
-        draw.text((left, top + round(54 * unit)), subtitle, font=_font(round(19 * unit), False), fill=grey)
-    if note:
-        draw.text((width - left, top + tall / 2), note, font=_font(round(19 * unit), False), fill=grey, anchor="rm")
-    return band
-
-
-def caption(frame: Frame, text: str, subtitle: str = "", note: str = "", rgb: look.Colour = look.ARROW) -> Frame:
-    """The frame (h, w, 3) with a band along its lower edge: a line, a smaller one below, a note at the right."""
-    from PIL import Image
-
-    picture = Image.fromarray(frame)
-    band = _band(picture.size, text, subtitle, note, rgb)
-    picture.paste(band, mask=band)
-    return np.asarray(picture)
-
-
-def write_video(path: Path, frames: Iterable[Frame], fps: float = 25.0, quality: int = 20) -> Path:
-    """Writes frames (h, w, 3), of even size, as H.264 that every player takes; `quality` is x264's crf, lower is better.
-
-    Raises:
-        InputError: there is no frame.
+    Args:
+        urdf: the cell with its collision shapes, as `compose_urdf` writes it.
     """
-    from fractions import Fraction
 
-    import av
+    def __init__(self, urdf: Path, pieces: Sequence[PieceVisual]):
+        p = self._p = pybullet
+        with silenced(), tempfile.TemporaryDirectory() as folder:
+            self.client = p.connect(p.DIRECT)
+            self._robot = p.loadURDF(str(urdf), useFixedBase=True, physicsClientId=self.client)
+            count = p.getNumJoints(self._robot, physicsClientId=self.client)
+            infos = [p.getJointInfo(self._robot, i, physicsClientId=self.client) for i in range(count)]
+            self._joints = {info[1].decode(): info[0] for info in infos}
+            self._pieces = {}
+            for k, piece in enumerate(pieces):
+                file = Path(folder) / f"{os.getpid()}_{self.client}_{k}.obj"  # PyBullet caches files by name
+                file.write_text(look.flat_obj(piece.vertices, piece.faces))
+                shape = p.createCollisionShape(
+                    p.GEOM_MESH, fileName=str(file), flags=p.GEOM_FORCE_CONCAVE_TRIMESH, physicsClientId=self.client
+                )
+                self._pieces[piece.name] = p.createMultiBody(0, shape, physicsClientId=self.client)
 
-    path.parent.mkdir(parents=True, exist_ok=True)
-    stream = None
-    with av.open(str(path), "w", options={"movflags": "faststart"}) as container:
-        for picture in frames:
-            if stream is None:
-                stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1000))
-                stream.height, stream.width = picture.shape[:2]
-                stream.pix_fmt = "yuv420p"
-                stream.options = {"crf": str(quality), "preset": "medium"}
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")))
-        if stream is not None:
-            container.mux(stream.encode())
-    if stream is None:
-        path.unlink(missing_ok=True)
-        raise InputError(str(path), "no frames to write")
-    return path
+    def __enter__(self) -> Sight:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with silenced():
+            self._p.disconnect(physicsClientId=self.client)
+
+    def place(self, joint_positions: Mapping[str, float], poses: Mapping[str, ArrayLike]) -> None:
+        """Poses the cell and the pieces, T_world_piece (4, 4) by name."""
+        for name, value in joint_positions.items():
+            self._p.resetJointState(self._robot, self._joints[name], float(value), physicsClientId=self.client)
+        for name, pose in poses.items():
+            position, quat_xyzw = to_quat_xyzw(pose)
+            self._p.resetBasePositionAndOrientation(self._pieces[name], position, quat_xyzw, physicsClientId=self.client)
+        self._p.performCollisionDetection(physicsClientId=self.client)
+
+    def reach(self, eye: ArrayLike, points: Array) -> Array:
+        """How far rays from `eye` (3,) to points (n, 3) get, as a fraction (n,): 1 where nothing is in the way."""
+        fractions: list[float] = []
+        for chunk in np.array_split(points, math.ceil(len(points) / 4000)):
+            starts = np.broadcast_to(np.asarray(eye, float), chunk.shape).tolist()
+            rows = self._p.rayTestBatch(starts, chunk.tolist(), physicsClientId=self.client)
+            fractions += [row[2] for row in rows]
+        return np.array(fractions)

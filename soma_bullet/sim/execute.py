@@ -10,12 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from soma_bullet.frames import Array, readonly, to_quat_xyzw
-from soma_bullet.robot.cell import Cell
 from soma_bullet.sim.log import ExecutionLog, Recorder, SegmentRecord
 from soma_bullet.sim.world import World
-from soma_bullet.task.program import Program, Segment
+from soma_bullet.task.program import CLOSING, DT, OPENING_TIME, Program, Segment
 
 TARE = 0.1  # [s] at rest before a guarded segment
+TOUCH_FORCE, EASED_FORCE = 5.0, 0.5  # [N] of the first touch, and of the grip before the pads leave
+RAMP = 0.15  # [s] between those and the full grip force
+EASED_SPEED, EASED_TIME = 0.01, 0.05  # [m/s], [s] of the first opening
 FILTER = 4  # samples of the force that are averaged
 JAM = 2e-3  # [m] a guarded placing that stops farther from its end is jammed
 EMPTY = 2e-3  # [m] pads nearer to each other than a piece's width less this hold nothing
@@ -58,14 +60,16 @@ class Executor:
         """Run one segment to its end or to its guard."""
         world, start = self.world, self.world.time
         if segment.kind == "grasp":
-            world.close_hand(segment.arm)
+            self._grip(segment.arm)
+        elif segment.kind == "release":
+            self._let_go(segment.arm, segment.opening)
         elif not np.isnan(segment.opening):
             world.open_hand(segment.arm, segment.opening)
         outcome, remaining, peak, force = "as planned", 0.0, 0.0, np.zeros(3)
         if len(segment.path):
             outcome, remaining, peak, force = self._follow(segment)
         else:
-            self.wait(segment.duration)
+            self.wait(segment.duration - (world.time - start))
         if segment.kind == "grasp" and world.openings()[segment.arm] < self._width(segment) - EMPTY:
             outcome = "lost"
         self.recorder.segments.append(
@@ -75,6 +79,26 @@ class Executor:
             )  # fmt: skip
         )
         return Observation(outcome, world.measured_joints(), world.openings(), readonly(force), remaining)
+
+    def _grip(self, arm: int) -> None:
+        """Close gently, then squeeze harder and harder."""
+        force = self.world.grip_force(arm)
+        self.world.squeeze(arm, min(force, TOUCH_FORCE))
+        self.wait(CLOSING / 2)
+        self._ramp(arm, min(force, TOUCH_FORCE), force)
+
+    def _let_go(self, arm: int, opening: float) -> None:
+        """Ease the grip before the pads leave: a piece that is let go while squeezed hard gets a kick."""
+        self._ramp(arm, self.world.grip_force(arm), EASED_FORCE)
+        self.world.open_hand(arm, opening, EASED_SPEED)
+        self.wait(EASED_TIME)
+        self.world.open_hand(arm, opening)
+
+    def _ramp(self, arm: int, start: float, end: float) -> None:
+        steps = max(1, round(RAMP / DT))
+        for k in range(1, steps + 1):
+            self.world.squeeze(arm, start + (end - start) * k / steps)
+            self._step()
 
     def _width(self, segment: Segment) -> float:
         return next(a.width for a in self.program.schedule.assignments if a.step == segment.step)
@@ -108,15 +132,27 @@ class Executor:
 
     def _mean_force(self, arm: int, duration: float) -> Array:
         forces = []
-        for _ in range(round(duration / self.world.physics.dt)):
+        for _ in range(round(duration / DT)):
             self._step()
             forces.append(self.world.wrench(arm)[:3])
         return np.mean(forces, axis=0)
 
     def wait(self, duration: float) -> None:
         """Hold everything where it is commanded for `duration` [s]."""
-        for _ in range(round(duration / self.world.physics.dt)):
+        for _ in range(round(duration / DT)):
             self._step()
+
+    def let_go(self, segment: Segment, opening: float) -> None:
+        """Open a hand where it is: what an ablation does to a hold."""
+        start = self.world.time
+        self._let_go(segment.arm, opening)
+        self.wait(OPENING_TIME)
+        self.recorder.segments.append(
+            SegmentRecord(
+                "ablation", segment.step, self.world.cell.arms[segment.arm].name, segment.piece, start, self.world.time,
+                "as planned", readonly(np.zeros(3)), 0.0, 0.0,
+            )  # fmt: skip
+        )
 
     def settle(self) -> None:
         """The final rest before judgement."""
@@ -127,8 +163,11 @@ class Executor:
         )
 
     def _step(self) -> None:
-        self.world.step()
-        if self.world.steps % self.world.physics.record_every == 0:
+        """One sample of a trajectory, or as long a rest."""
+        physics = self.world.physics
+        for _ in range(physics.substeps):
+            self.world.step()
+        if self.world.steps % (physics.substeps * physics.record_every) == 0:
             self._record()
 
     def _record(self) -> None:
@@ -136,6 +175,8 @@ class Executor:
         grips = np.zeros(len(world.cell.arms))
         finger = {(world.robot, link): arm for arm, links in enumerate(world.finger_links) for link in links}
         for a, b, force, distance in world.contacts():
+            if force <= 0.0 and distance > 0.0:
+                continue  # Bullet lists what is merely near
             self.recorder.touch(self._codes[a], self._codes[b], force, distance)
             for side in (a, b):
                 if side in finger:
@@ -154,12 +195,9 @@ class Executor:
         """The record so far."""
         program, cell = self.program, self.world.cell
         return ExecutionLog(
-            cell=_cell_reference(cell), assembly=program.assembly, digest=program.digest, seed=program.seed, order=program.order,
+            cell=cell.name, assembly=program.assembly, digest=program.digest, seed=program.seed, order=program.order,
             stand=program.stand, T_world_assembly=program.T_world_assembly, joint_names=self.world.moving_joints,
             arm_names=tuple(arm.name for arm in cell.arms), piece_names=tuple(self.world.pieces), bodies=tuple(self.bodies),
             segments=tuple(self.recorder.segments), constraints=self.world.constraints(), ended=ended, **self.recorder.arrays(),
         )  # fmt: skip
 
-
-def _cell_reference(cell: Cell) -> str:
-    return cell.name

@@ -21,6 +21,7 @@ from soma_bullet.frames import from_quat_xyzw as transform_of
 from soma_bullet.robot.cell import Cell
 from soma_bullet.robot.kinematics import compose_urdf
 from soma_bullet.sim.bodies import write_piece_urdf
+from soma_bullet.task.program import DT
 
 
 @dataclass(frozen=True)
@@ -28,22 +29,27 @@ class Physics:
     """How the world is simulated; the defaults are measured to hold pieces without slip.
 
     Attributes:
-        dt: time step [s].
+        substeps: time steps for each sample of a trajectory.
         iterations: of the constraint solver; with two arms and a gripped piece fewer do not converge.
         gravity: [m/s2].
         grip_force: [N]; None for the hand's own.
         friction: factor on every friction coefficient.
         mass: factor on every piece's mass.
-        record_every: steps between samples of the log.
+        record_every: samples of a trajectory between samples of the log.
     """
 
-    dt: float = 1 / 480
+    substeps: int = 1
     iterations: int = 300
     gravity: float = 9.81
     grip_force: float | None = None
     friction: float = 1.0
     mass: float = 1.0
     record_every: int = 5
+
+    @property
+    def dt(self) -> float:
+        """Time step [s]."""
+        return DT / self.substeps
 
 
 GEAR_ERP = 0.2
@@ -187,21 +193,23 @@ class World:
         """Joint targets (6,) of one arm for the next step."""
         self.targets[arm] = q
 
-    def close_hand(self, arm: int) -> None:
-        """Close with the grip force and keep squeezing."""
-        hand = self.cell.arms[arm].hand
-        force = self.physics.grip_force if self.physics.grip_force is not None else hand.grip_force
+    def grip_force(self, arm: int) -> float:
+        """With which a hand grips [N]."""
+        return self.physics.grip_force if self.physics.grip_force is not None else self.cell.arms[arm].hand.grip_force
+
+    def squeeze(self, arm: int, force: float) -> None:
+        """Close with a force [N] and keep squeezing."""
         for joint in self.finger_joints[arm]:
             p.setJointMotorControl2(
                 self.robot, joint, p.VELOCITY_CONTROL, targetVelocity=-CLOSING_SPEED, force=force, physicsClientId=self.client
             )
 
-    def open_hand(self, arm: int, opening: float) -> None:
-        """Move the pads to a distance of `opening` [m]."""
+    def open_hand(self, arm: int, opening: float, speed: float = OPENING_SPEED) -> None:
+        """Move the pads to a distance of `opening` [m], each at up to `speed` [m/s]."""
         limit = self.cell.arms[arm].hand.force_range[1]
         for joint in self.finger_joints[arm]:
             p.setJointMotorControl2(
-                self.robot, joint, p.POSITION_CONTROL, targetPosition=opening / 2, maxVelocity=OPENING_SPEED, force=limit,
+                self.robot, joint, p.POSITION_CONTROL, targetPosition=opening / 2, maxVelocity=speed, force=limit,
                 physicsClientId=self.client,
             )  # fmt: skip
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import shapely
@@ -19,6 +20,20 @@ from soma_bullet.task.grasps import grasp_poses
 
 GAP = 0.010  # [m] between the footprints of two pieces
 DRAWS = 10_000
+
+
+@dataclass(frozen=True)
+class FeedOptions:
+    """How the pieces are fed.
+
+    Attributes:
+        layout: `random` draws places and yaws; `rows` lays the pieces out evenly, without yaw.
+        noise_mm, noise_deg: one sigma of what the perceived poses are off by, in x, y [mm] and yaw [deg].
+    """
+
+    layout: Literal["random", "rows"] = "random"
+    noise_mm: float = 0.0
+    noise_deg: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,14 +91,17 @@ def preferred_resting_pose(assembly: Assembly, plan: AssemblyPlan, hand: Hand, n
     return poses[int(np.argmax(counts))]
 
 
-def draw_feed(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int) -> Feed:
-    """Uniform places over the whole feed areas, uniform yaw, the preferred resting pose of each piece.
+def draw_feed(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int, options: FeedOptions | None = None) -> Feed:
+    """The preferred resting pose of each piece, at uniform places over the whole feed areas and uniform yaw, or in rows.
 
     Raises:
         NoSolutionError: the pieces do not fit, or one has no common grasp.
     """
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0xFEED,)))
+    options = options or FeedOptions()
     hand = cell.arms[0].hand
+    if options.layout == "rows":
+        return _rows(assembly, plan, cell, seed)
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0xFEED,)))
     areas = cell.feed_areas
     sizes = np.prod(areas[:, :, 1] - areas[:, :, 0], axis=1)
     outlines: list[shapely.Geometry] = []
@@ -106,3 +124,28 @@ def draw_feed(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int) -> 
     return Feed(assembly.names, readonly(np.array(poses)), overlaps, 0, seed)
 
 
+
+
+def _rows(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int) -> Feed:
+    """The pieces in the order of the plan, spread evenly over the feed areas in turn."""
+    hand, areas = cell.arms[0].hand, cell.feed_areas
+    poses = {}
+    for k, name in enumerate(plan.order):
+        area = areas[k % len(areas)]
+        column, columns = k // len(areas), -(-len(plan.order) // len(areas))
+        place = (area[0, 0] + (column + 0.5) / columns * (area[0, 1] - area[0, 0]), area[1].mean(), 0.0)
+        poses[name] = make_transform(translation=place) @ preferred_resting_pose(assembly, plan, hand, name)
+    return Feed(assembly.names, readonly(np.array([poses[name] for name in assembly.names])), 0, 0, seed)
+
+
+def misplace(feed: Feed, options: FeedOptions, seed: int) -> Feed:
+    """Where the pieces really lie when `feed` is what was perceived."""
+    if options.noise_mm == 0.0 and options.noise_deg == 0.0:
+        return feed
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0x0FF,)))
+    poses = np.array(feed.poses)
+    for pose in poses:
+        turn = rotation_about((0, 0, 1), np.deg2rad(rng.normal(0.0, options.noise_deg)))
+        pose[:3, :3] = turn @ pose[:3, :3]
+        pose[:2, 3] += rng.normal(0.0, options.noise_mm * 1e-3, 2)
+    return replace(feed, poses=readonly(poses))

@@ -1,7 +1,7 @@
 """The program: a schedule turned into segments, each a timed trajectory or a hand command, with guards.
 
-Segments run one after another. `replan` makes the next segments anew from measured joints, when the cell is not where the
-program expected it.
+Segments run one after another. `replan` makes a segment anew from measured joints, when the cell is not where the program
+expected it.
 """
 
 from __future__ import annotations
@@ -290,62 +290,52 @@ def _check(samples: Array, collides: Callable[[Array], bool]) -> None:
             raise TimingError("the timed trajectory collides")
 
 
-def replan(workcell: Workcell, plan: AssemblyPlan, program: Program, index: int, qs: Array) -> Program:
-    """The program with its segments from `index` on continued from measured joints qs (arms, 6).
-
-    Only what does not start where its arm is gets made anew: lines as lines, motions around obstacles to the same ends.
+def replan(workcell: Workcell, plan: AssemblyPlan, program: Program, index: int, qs: Array) -> Segment:
+    """One motion segment of the program made anew from measured joints qs (arms, 6): a line as a line, else to the same end.
 
     Raises:
-        NoSolutionError: a motion cannot be made from there.
+        NoSolutionError: it cannot be made from there.
     """
-    segments = list(program.segments)
-    state = _replay(workcell, plan, program, index, qs)
-    for k in range(index, len(segments)):
-        segment = segments[k]
-        context = next(state)
-        if segment.kind not in MOTIONS:
-            continue
-        start = context.hands.qs[segment.arm]
-        if np.abs(start - segment.path[0]).max() <= SMALLEST_JUMP:
-            break  # from here on the arm is where the program expects it
-        scene = workcell.scene(context.poses, context.hands, segment.arm, context.carried, context.touching)
-        try:
-            if segment.kind in SPEEDS:
-                path = line_motion(workcell, scene, context.hands, segment.arm, start, segment.offset, SPEEDS[segment.kind])
-            else:
-                wide = float(np.nanmax([segment.opening, context.hands.openings[segment.arm]]))
-                path = plan_motion(workcell, scene, context.hands, segment.arm, start, segment.path[-1], wide, program.seed + k)
-        except (LineError, TransferError, TimingError) as error:
-            raise NoSolutionError("motion", f"{segment.piece}: {segment.kind} cannot be made from the measured joints: {error}") from None
-        segments[k] = replace(segment, path=readonly(path))
-    return replace(program, segments=tuple(segments))
+    segment = program.segments[index]
+    context = _context_before(workcell, plan, program, index, qs)
+    scene = workcell.scene(context.poses, context.hands, segment.arm, context.carried, context.touching)
+    start = qs[segment.arm]
+    try:
+        if segment.kind in SPEEDS:
+            path = line_motion(workcell, scene, context.hands, segment.arm, start, segment.offset, SPEEDS[segment.kind])
+        else:
+            wide = float(np.nanmax([segment.opening, context.hands.openings[segment.arm]]))
+            path = plan_motion(workcell, scene, context.hands, segment.arm, start, segment.path[-1], wide, program.seed + index)
+    except (LineError, TransferError, TimingError) as error:
+        reason = f"{segment.piece}: {segment.kind} cannot be made from the measured joints: {error}"
+        raise NoSolutionError("motion", reason) from None
+    return replace(segment, path=readonly(path))
 
 
-def _replay(workcell: Workcell, plan: AssemblyPlan, program: Program, index: int, qs: Array) -> Iterator[_Context]:
-    """The context before each segment from `index` on, the arms at qs (arms, 6) at its start and moving with the segments."""
+def _context_before(workcell: Workcell, plan: AssemblyPlan, program: Program, index: int, qs: Array) -> _Context:
+    """Where the program expects pieces and hands before a segment, with the arms where they were measured."""
     poses = {name: program.feed.pose(name) for name in program.feed.names}
     hands = workcell.idle()
     carried: dict[int, tuple[str, Array]] = {}
-    for k, segment in enumerate(program.segments):
+    for segment in program.segments[:index]:
         arm, piece = segment.arm, segment.piece
-        if k == index:
-            hands = replace(hands, qs=np.array(qs))
-        if k >= index:
-            held = carried.get(arm) if segment.kind in ("lift", "transfer", "insert", "place") else None
-            meant = frozenset(p for p in workcell.touching if piece in p)
-            if segment.kind == "lift":
-                meant = frozenset({frozenset({piece, TABLE})})
-            yield _Context(poses, hands.gripping(arm, piece) if segment.kind != "transit" else hands, held, meant if held else frozenset())
-        if len(segment.path):
-            shift = segment.path[-1] if k < index else hands.qs[arm] + segment.path[-1] - segment.path[0]
-            hands = hands.with_arm(arm, shift)
-        a = next(s for s in program.schedule.assignments if s.step == segment.step)
-        if segment.kind == "grasp":
-            hands = hands.with_arm(arm, hands.qs[arm], a.width).gripping(arm, piece)
-            carried[arm] = (piece, inverse(grasp_poses(plan, piece)[0][a.grasp]))
-        elif not np.isnan(segment.opening):
-            hands = hands.with_arm(arm, hands.qs[arm], segment.opening)
-        if segment.kind == "settle":
+        if segment.kind == "approach":
+            hands = hands.gripping(arm, piece)
+        elif segment.kind == "grasp":
+            assignment = next(a for a in program.schedule.assignments if a.step == segment.step)
+            hands = hands.with_arm(arm, hands.qs[arm], assignment.width)
+            carried[arm] = (piece, inverse(grasp_poses(plan, piece)[0][assignment.grasp]))
+        elif segment.kind == "settle":
             poses = {**poses, piece: workcell.settled[piece]}
-        if segment.kind == "retreat":
+            carried.pop(arm, None)
+        elif segment.kind == "retreat":
             hands = hands.gripping(arm, None)
+        if not np.isnan(segment.opening) and segment.kind != "grasp":
+            hands = hands.with_arm(arm, hands.qs[arm], segment.opening)
+    segment = program.segments[index]
+    if segment.kind == "approach":
+        hands = hands.gripping(segment.arm, segment.piece)
+    touching = frozenset(p for p in workcell.touching if segment.piece in p)
+    if segment.kind == "lift":
+        touching = frozenset({frozenset({segment.piece, TABLE})})
+    return _Context(poses, replace(hands, qs=np.array(qs)), carried.get(segment.arm), touching)

@@ -1,0 +1,263 @@
+"""The pipeline, wired: assembly -> plan -> schedule and program -> execution -> judgement -> report and video.
+
+An episode can be resumed at every arrow, from `plan.json`, `program.npz` or `log.npz`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from soma_bullet.assembly.file import load_assembly
+from soma_bullet.assembly.model import Assembly
+from soma_bullet.errors import InputError, NoSolutionError
+from soma_bullet.grasp.clearance import OPENING
+from soma_bullet.grasp.hand import load_hand
+from soma_bullet.planner.plan import AssemblyPlan, make_plan
+from soma_bullet.planner.qualities import PlannerOptions
+from soma_bullet.records import package_versions, read_json, read_npz, write_json, write_npz
+from soma_bullet.report.report import EpisodeReport
+from soma_bullet.robot.cell import Cell, load_cell
+from soma_bullet.sim.execute import Executor
+from soma_bullet.sim.judge import Tolerance, judge
+from soma_bullet.sim.log import ExecutionLog
+from soma_bullet.sim.world import Physics, World
+from soma_bullet.task.feed import Feed, FeedOptions, draw_feed, misplace
+from soma_bullet.task.program import MOTIONS, SMALLEST_JUMP, Program, make_program, replan
+from soma_bullet.task.workcell import Workcell
+
+if TYPE_CHECKING:
+    from soma_bullet.sim.film import FilmOptions
+
+Progress = Callable[[str, float], None]  # what is going on, and the fraction of the stage that is done
+ORDERS = 12  # orders that are tried, best first, before the search for a schedule gives up
+
+
+@dataclass(frozen=True)
+class EpisodeOptions:
+    """Everything that decides an episode, beside the assembly.
+
+    Attributes:
+        cell: name or path.
+        hand: a hand.toml, or the name of a cell whose hand replaces that of this cell; None for its own.
+        seed: of everything random.
+        planner: how orders are judged; its seed is the episode's.
+        feed: how the pieces are fed.
+        physics: how the world is simulated.
+        tolerance: of the verdict.
+        ablate: `hold` opens the assisting hand where it should hold.
+        film: the video; None for none.
+    """
+
+    cell: str = "ur5e_pair"
+    hand: str | None = None
+    seed: int = 0
+    planner: PlannerOptions = PlannerOptions()
+    feed: FeedOptions = FeedOptions()
+    physics: Physics = Physics()
+    tolerance: Tolerance = Tolerance()
+    ablate: str = ""
+    film: FilmOptions | None = None
+
+
+@dataclass
+class _Clock:
+    """Wall time of each stage."""
+
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+def run_episode(
+    assembly: str | Path,
+    options: EpisodeOptions | None = None,
+    out: Path | None = None,
+    resume: Path | None = None,
+    plan_only: bool = False,
+    progress: Progress = lambda what, fraction: None,
+) -> EpisodeReport | None:
+    """Run one episode, or the rest of one.
+
+    Args:
+        assembly: file or name.
+        out: folder for `plan.json`, `program.npz`, `log.npz`, `report.json` and the video; None writes nothing.
+        resume: one of those files (but the report) of an earlier run: what comes before it is taken from there.
+        plan_only: stop after the plan, and return None.
+
+    Raises:
+        InputError: a file or an option is wrong.
+        NoSolutionError: no plan, schedule or motion exists; says what blocked.
+    """
+    options = options or EpisodeOptions()
+    if options.ablate not in ("", "hold"):
+        raise InputError("--ablate", f"{options.ablate!r} is not known; `hold` is")
+    clock = _Clock()
+    with clock.stage("load"):
+        progress("loading", 0.0)
+        model, cell = load_assembly(assembly), _load_cell(options)
+        plan, program, log = _resumed(resume, model, cell)
+    if log is None:
+        with clock.stage("plan"):
+            progress("planning", 0.0)
+            plan = plan or make_plan(model, cell.arms[0].hand, replace(options.planner, seed=options.seed))
+        if plan_only:
+            _write(out, "plan.json", plan)
+            return None
+        with clock.stage("motion"):
+            progress("scheduling and planning motions", 0.0)
+            workcell = Workcell(model, cell)
+            if program is None:
+                plan, program = _plan_and_program(model, workcell, plan, options, progress)
+        _write(out, "plan.json", plan)
+        _write(out, "program.npz", program)
+        with clock.stage("execution"):
+            log = execute(model, workcell, plan, program, options, progress)
+        _write(out, "log.npz", log)
+    with clock.stage("judgement"):
+        verdict = judge(log, model, cell, options.tolerance)
+    video = {"file": "", "renderer": "", "note": "no video was asked for"}
+    if options.film is not None and out is not None:
+        with clock.stage("video"):
+            video = _render(log, model, cell, out, options.film, verdict.success, progress)
+    report = EpisodeReport(
+        success=verdict.success,
+        pieces=verdict.pieces,
+        assembly=model.name,
+        digest=model.digest,
+        cell=cell.name,
+        order=log.order,
+        stability=plan.options.stability if plan else "",
+        seed=log.seed,
+        ablation=options.ablate,
+        tolerance=options.tolerance,
+        judgement=verdict,
+        feed_rejected={"overlap": program.feed.overlaps, "no common grasp": program.feed.graspless} if program else {},
+        rejections=program.schedule.rejections if program else {},
+        makespan_s=verdict.makespan_s,
+        wall_s={name: round(seconds, 3) for name, seconds in clock.seconds.items()},
+        video=video,
+        versions=package_versions(),
+    )
+    _write(out, "report.json", report)
+    return report
+
+
+def _load_cell(options: EpisodeOptions) -> Cell:
+    cell = load_cell(options.cell)
+    if options.hand is None:
+        return cell
+    hand = load_hand(options.hand) if Path(options.hand).suffix == ".toml" else load_cell(options.hand).arms[0].hand
+    return replace(cell, arms=tuple(replace(arm, hand=hand) for arm in cell.arms))
+
+
+def _resumed(
+    resume: Path | None, assembly: Assembly, cell: Cell
+) -> tuple[AssemblyPlan | None, Program | None, ExecutionLog | None]:
+    """What an earlier run left: the file itself, and its neighbours that come before it."""
+    if resume is None:
+        return None, None, None
+    kinds = {"plan.json": 0, "program.npz": 1, "log.npz": 2}
+    if not resume.is_file():
+        raise InputError("--from", f"no file {resume}")
+    if resume.name not in kinds:
+        raise InputError("--from", f"{resume.name} is none of {', '.join(kinds)}")
+    level = kinds[resume.name]
+    plan_file, program_file = (resume.parent / name for name in ("plan.json", "program.npz"))
+    log = read_npz(ExecutionLog, resume) if level == 2 else None
+    program = read_npz(Program, program_file) if level == 1 or (level == 2 and program_file.is_file()) else None
+    if level == 1 and not plan_file.is_file():
+        raise InputError(str(resume), f"its plan is missing: no file {plan_file}")
+    plan = read_json(AssemblyPlan, plan_file) if plan_file.is_file() else None
+    for found in (plan, program, log):
+        if found is not None and found.digest != assembly.digest:
+            raise InputError(str(resume), f"was made for another assembly: digest {found.digest[:12]}, {assembly.name} has {assembly.digest[:12]}")
+    for made in (program, log):
+        if made is not None and made.cell != cell.name:
+            raise InputError(str(resume), f"was made for the cell {made.cell!r}, not {cell.name!r}")
+    return plan, program, log
+
+
+def _plan_and_program(
+    assembly: Assembly, workcell: Workcell, plan: AssemblyPlan, options: EpisodeOptions, progress: Progress
+) -> tuple[AssemblyPlan, Program]:
+    """The best order that has a schedule: an order without one is ruled out, and the next best is tried."""
+    hand, excluded, reasons = workcell.cell.arms[0].hand, frozenset[tuple[str, ...]](), Counter[str]()
+    for _ in range(ORDERS):
+        try:
+            feed = draw_feed(assembly, plan, workcell.cell, options.seed, options.feed)
+            return plan, make_program(workcell, plan, feed, options.seed, lambda reason: progress(reason, 0.0))
+        except NoSolutionError as error:
+            reasons += error.reasons or Counter({error.summary: 1})
+            excluded |= {plan.order}
+            try:
+                plan = make_plan(assembly, hand, plan.options, excluded)
+            except NoSolutionError:
+                break
+    raise NoSolutionError("schedule", f"none of the {len(excluded)} best orders of {assembly.name} has a schedule", reasons)
+
+
+def execute(
+    assembly: Assembly, workcell: Workcell, plan: AssemblyPlan, program: Program, options: EpisodeOptions, progress: Progress
+) -> ExecutionLog:
+    """The executive loop: run a segment, look at what was measured, go on as planned or plan on from there."""
+    actual: Feed = misplace(program.feed, options.feed, options.seed)
+    poses = {name: actual.pose(name) for name in actual.names}
+    world = World(workcell.cell, assembly, program.stand, poses, np.array(workcell.robot.home), options.physics)
+    try:
+        executor = Executor(world, program)
+        ended = "done"
+        for k, segment in enumerate(program.segments):
+            progress(f"{workcell.cell.arms[segment.arm].name}: {segment.kind} {segment.piece}", k / len(program.segments))
+            measured = world.measured_joints()
+            if segment.kind in MOTIONS and np.abs(measured[segment.arm] - segment.path[0]).max() > SMALLEST_JUMP:
+                try:
+                    segment = replan(workcell, plan, program, k, measured)
+                except NoSolutionError as error:
+                    ended = error.summary
+                    break
+            observation = executor.run(segment)
+            if observation.outcome in ("jammed", "lost") and not options.ablate:
+                ended = f"{segment.piece} {observation.outcome} in {segment.kind} ({np.linalg.norm(observation.force):.1f} N, {observation.remaining * 1e3:.1f} mm left)"
+                break
+            if options.ablate == "hold" and segment.kind == "settle":
+                assignment = program.schedule.assignments[segment.step]
+                if segment.piece in assignment.holds:
+                    executor.let_go(segment, assignment.width + 2 * OPENING)
+        executor.settle()
+        return executor.log(ended)
+    finally:
+        world.close()
+
+
+def _render(
+    log: ExecutionLog, assembly: Assembly, cell: Cell, out: Path, options: FilmOptions, success: bool, progress: Progress
+) -> dict[str, str]:
+    from soma_bullet.sim.film import film, still  # the renderer is not needed by every episode
+
+    closing = "every piece is in place" if success else "not in place"
+    made = film(
+        log, assembly, cell, out / "episode.mp4", options, closing=closing,
+        progress=lambda fraction: progress("rendering", fraction),
+    )  # fmt: skip
+    still(log, assembly, cell, out / "still.png", options)
+    return {"file": "episode.mp4", "renderer": made.renderer, "note": made.reason}
+
+
+def _write(out: Path | None, name: str, value: object) -> None:
+    if out is None or value is None:
+        return
+    (write_json if name.endswith(".json") else write_npz)(value, out / name)

@@ -1,0 +1,173 @@
+"""Captions: what happens in an execution, in words, and how the words are drawn on a frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import util
+from itertools import groupby
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from soma_bullet.frames import Array
+from soma_bullet.sim import look
+from soma_bullet.sim.log import ExecutionLog, SegmentRecord
+
+PHASES = {
+    "transit": "pick", "approach": "pick", "grasp": "pick", "lift": "pick", "transfer": "bring",
+    "insert": "insert", "place": "insert", "settle": "insert", "release": "release", "retreat": "release",
+}  # fmt: skip
+FAILURES = {"jammed": "{piece} jams", "lost": "{piece} is not between the fingers"}
+
+
+@dataclass(frozen=True)
+class Caption:
+    """Words on a frame: a line, a smaller one below it, a note at the right, and the colour of the bar at the left."""
+
+    text: str
+    subtitle: str = ""
+    note: str = ""
+    rgb: look.Colour = look.ARROW
+
+
+@dataclass(frozen=True)
+class Phase:
+    """Neighbouring segments that are one action to a viewer.
+
+    Attributes:
+        kind: `pick`, `bring`, `insert`, `release`, or the kind of its segments where that is none of them.
+        start, end: [s] of simulated time.
+    """
+
+    kind: str
+    arm: str
+    piece: str
+    segments: tuple[SegmentRecord, ...]
+
+    @property
+    def start(self) -> float:
+        return self.segments[0].start
+
+    @property
+    def end(self) -> float:
+        return self.segments[-1].end
+
+    @property
+    def direction(self) -> Array:
+        """Unit direction of the straight travel (3,), zero where there is none."""
+        travel = np.sum([s.offset for s in self.segments if s.kind in ("insert", "place")] or np.zeros((1, 3)), axis=0)
+        return travel / max(float(np.linalg.norm(travel)), 1e-9)
+
+
+def phases(log: ExecutionLog) -> tuple[Phase, ...]:
+    """The phases of an episode, in order."""
+    groups = groupby(log.segments, key=lambda s: (PHASES.get(s.kind, s.kind), s.arm, s.piece))
+    return tuple(Phase(kind, arm, piece, tuple(segments)) for (kind, arm, piece), segments in groups)
+
+
+def holds(log: ExecutionLog, time: float) -> tuple[tuple[str, str], ...]:
+    """(arm, piece) of every hand that holds a placed piece at `time` [s]: from its settling until the hand lets go."""
+    held = {}
+    for segment in log.segments:
+        if segment.start > time:
+            break
+        if segment.kind == "settle":
+            held[segment.arm] = segment.piece
+        elif segment.kind in ("release", "ablation"):
+            held.pop(segment.arm, None)
+    return tuple(sorted(held.items()))
+
+
+def says(phase: Phase) -> str:
+    """A phase in words."""
+    arm, piece = phase.arm, phase.piece
+    if phase.kind == "insert":
+        return f"{arm} inserts {piece} along {vector(phase.direction)}"
+    return {
+        "pick": f"{arm}: pick {piece} from the feed",
+        "bring": f"{arm} brings {piece}",
+        "release": f"{arm} lets go of {piece}",
+        "ablation": f"ablation: {arm} lets go of {piece}",
+        "home": f"{arm} goes home",
+        "final": "settling",
+    }.get(phase.kind, f"{arm}: {phase.kind} {piece}")
+
+
+def vector(values: ArrayLike) -> str:
+    """Numbers with two decimals at most: (0, 0.71, −0.71)."""
+    texts = (f"{value + 0.0:.2f}".rstrip("0").rstrip(".") for value in np.round(np.asarray(values, float), 2) + 0.0)
+    return f"({', '.join(texts)})".replace("-", "−")
+
+
+def narration(log: ExecutionLog, least: float) -> list[tuple[float, str, str]]:
+    """Lines as (from when on [s], words, piece), each on show for `least` [s] if what follows leaves the time for it."""
+    lines: list[tuple[float, str, str]] = []
+    for phase in phases(log):
+        lines.append((phase.start, says(phase), phase.piece))
+        lines += [(s.end, f"{s.arm}: {FAILURES[s.outcome].format(piece=s.piece)}", s.piece) for s in phase.segments if s.outcome in FAILURES]
+    shown: list[tuple[float, str, str]] = []
+    free = -np.inf  # when the line before has been on show for long enough
+    for k, (start, words, piece) in enumerate(lines):
+        until = lines[k + 1][0] if k + 1 < len(lines) else np.inf
+        begin = max(start, free)
+        if begin < until or begin < start + least:
+            shown.append((begin, words, piece))
+            free = begin + min(least, max(until - start, 0.5 * least))
+    return shown
+
+
+# --- drawing -----------------------------------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=16)
+def _font(points: int, bold: bool):
+    from PIL import ImageFont
+
+    spec = util.find_spec("matplotlib")
+    for folder in (spec.submodule_search_locations or ()) if spec else ():
+        file = Path(folder) / "mpl-data/fonts/ttf" / ("DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf")
+        if file.is_file():
+            return ImageFont.truetype(str(file), points)
+    return ImageFont.load_default(points)
+
+
+@lru_cache(maxsize=32)
+def _band(size: tuple[int, int], caption: Caption):
+    """The lower edge as an RGBA picture; the note is left to the frame."""
+    from PIL import Image, ImageDraw
+
+    width, height = size
+    unit, tall = height / 720, band_height(height, caption)
+    band = Image.new("RGBA", size, (0, 0, 0, 0))
+    draw = ImageDraw.Draw(band)
+    top, left = height - tall, round(32 * unit)
+    draw.rectangle((0, top, width, height), fill=(18, 22, 28, 205))
+    draw.rectangle((0, top, round(8 * unit), height), fill=(*(round(255 * c) for c in caption.rgb), 255))
+    draw.text((left, top + round(12 * unit)), caption.text, font=_font(round(25 * unit), True), fill=(255, 255, 255, 255))
+    if caption.subtitle:
+        draw.text((left, top + round(47 * unit)), caption.subtitle, font=_font(round(18 * unit), False), fill=_GREY)
+    return band
+
+
+_GREY = (214, 220, 228, 255)
+
+
+def band_height(height: int, caption: Caption) -> int:
+    """Pixels that a caption takes of a frame `height` pixels high."""
+    return round((80 if caption.subtitle else 56) * height / 720)
+
+
+def draw_caption(frame: NDArray[np.uint8], caption: Caption) -> NDArray[np.uint8]:
+    """The frame (h, w, 3) with a band along its lower edge."""
+    from PIL import Image, ImageDraw
+
+    picture = Image.fromarray(frame)
+    band = _band(picture.size, Caption(caption.text, caption.subtitle, "", caption.rgb))
+    picture.paste(band, mask=band)
+    if caption.note:
+        width, height = picture.size
+        place = (width - round(32 * height / 720), height - band_height(height, caption) / 2)
+        ImageDraw.Draw(picture).text(place, caption.note, font=_font(round(18 * height / 720), False), fill=_GREY, anchor="rm")
+    return np.asarray(picture)

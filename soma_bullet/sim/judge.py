@@ -1,0 +1,256 @@
+"""The judge: reads the log and the assembly, nothing else, and says where the pieces ended up and what touched what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from soma_bullet.assembly.contacts import SUPPORT
+from soma_bullet.assembly.model import Assembly
+from soma_bullet.frames import Array, apply, inverse, rotation_angle
+from soma_bullet.robot.cell import Cell
+from soma_bullet.sim.log import ExecutionLog
+
+STAND, TABLE = "stand", "table"
+VELOCITY_EXCESS = 1.05  # of a joint's limit, measured by differences over a sample
+
+
+@dataclass(frozen=True)
+class Tolerance:
+    """What counts as in place: displacement of the centre of mass [mm] and rotation [deg]."""
+
+    mm: float = 2.0
+    deg: float = 2.0
+
+
+@dataclass(frozen=True)
+class PieceVerdict:
+    """Where one piece ended up, against its nominal goal.
+
+    Attributes:
+        error_mm: displacement of the centre of mass; error_max_mm: of the worst vertex; error_deg: rotation.
+        in_place: within the tolerance.
+    """
+
+    name: str
+    error_mm: float
+    error_max_mm: float
+    error_deg: float
+    in_place: bool
+
+
+@dataclass(frozen=True)
+class GraspSlip:
+    """Largest motion of a gripped piece in the hand that carried it."""
+
+    piece: str
+    arm: str
+    slip_mm: float
+    slip_deg: float
+
+
+@dataclass(frozen=True)
+class HoldDrift:
+    """Largest motion in the world of a piece while a hand held it in place; seconds: how long."""
+
+    piece: str
+    arm: str
+    seconds: float
+    drift_mm: float
+    drift_deg: float
+    grip_n: float
+
+
+@dataclass(frozen=True)
+class ForbiddenContact:
+    """Two bodies that touched though they never should: first time [s], samples, largest force [N]."""
+
+    body_a: str
+    body_b: str
+    first_s: float
+    samples: int
+    force_n: float
+
+
+@dataclass(frozen=True)
+class InsertionForce:
+    """Peak change of the wrist's force in an insertion [N], and how it ended."""
+
+    piece: str
+    arm: str
+    peak_n: float
+    outcome: str
+    remaining_mm: float
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How near the arms came to their limits.
+
+    Attributes:
+        joint_deg: smallest distance of a joint from its end; speed: largest fraction of a joint's speed limit.
+    """
+
+    joint_deg: float
+    speed: float
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """The verdict and every number behind it; `causes` says what is wrong, empty on success."""
+
+    success: bool
+    causes: tuple[str, ...]
+    pieces: tuple[PieceVerdict, ...]
+    slips: tuple[GraspSlip, ...]
+    holds: tuple[HoldDrift, ...]
+    forbidden: tuple[ForbiddenContact, ...]
+    insertions: tuple[InsertionForce, ...]
+    dropped: tuple[str, ...]
+    limits: Limits
+    makespan_s: float
+
+
+def judge(log: ExecutionLog, assembly: Assembly, cell: Cell, tolerance: Tolerance) -> Judgement:
+    """Judge one episode. Success: settled, every piece in place, nothing dropped, nothing forbidden touched, limits kept."""
+    pieces = tuple(_piece(log, assembly, k, tolerance) for k in range(len(assembly.pieces)))
+    forbidden = tuple(_forbidden(log, assembly, cell))
+    dropped = tuple(sorted({c.body_a if c.body_b == TABLE else c.body_b for c in forbidden if TABLE in (c.body_a, c.body_b)} & set(assembly.names)))
+    limits = _limits(log, cell)
+    causes = [] if log.ended == "done" else [log.ended]
+    causes += [f"{v.name} is {v.error_mm:.2f} mm and {v.error_deg:.2f} deg from its goal" for v in pieces if not v.in_place]
+    causes += [f"{name} was dropped" for name in dropped]
+    causes += [f"{c.body_a} touched {c.body_b} at {c.first_s:.2f} s ({c.force_n:.1f} N)" for c in forbidden if not {c.body_a, c.body_b} & set(dropped)]
+    if limits.speed > VELOCITY_EXCESS:
+        causes.append(f"a joint moved at {limits.speed:.2f} of its speed limit")
+    if limits.joint_deg < 0:
+        causes.append(f"a joint left its range by {-limits.joint_deg:.2f} deg")
+    moving = [s for s in log.segments if s.kind != "final"]
+    return Judgement(
+        success=not causes,
+        causes=tuple(causes),
+        pieces=pieces,
+        slips=tuple(_slips(log)),
+        holds=tuple(_holds(log)),
+        forbidden=forbidden,
+        insertions=tuple(
+            InsertionForce(s.piece, s.arm, s.peak_force, s.outcome, s.remaining * 1e3) for s in log.segments if s.kind == "place"
+        ),
+        dropped=dropped,
+        limits=limits,
+        makespan_s=max((s.end for s in moving), default=0.0),
+    )
+
+
+def _piece(log: ExecutionLog, assembly: Assembly, k: int, tolerance: Tolerance) -> PieceVerdict:
+    piece = assembly.pieces[k]
+    final = log.piece_pose(-1, piece.name)
+    goal = log.T_world_assembly @ assembly.goals[k]
+    com = apply(final, piece.center_of_mass) - apply(goal, piece.center_of_mass)
+    vertices = np.linalg.norm(apply(final, piece.vertices) - apply(goal, piece.vertices), axis=1)
+    error_mm = float(np.linalg.norm(com)) * 1e3
+    error_deg = float(np.rad2deg(rotation_angle(final[:3, :3], goal[:3, :3])))
+    in_place = error_mm <= tolerance.mm and error_deg <= tolerance.deg
+    return PieceVerdict(piece.name, error_mm, float(vertices.max()) * 1e3, error_deg, in_place)
+
+
+def _span(log: ExecutionLog, first: str, last: str, arm: str, piece: str) -> tuple[float, float] | None:
+    """From the start of one segment of an arm and a piece to the start of a later one."""
+    starts = [s.start for s in log.segments if (s.kind, s.arm, s.piece) == (first, arm, piece)]
+    ends = [s.start for s in log.segments if (s.kind, s.arm, s.piece) == (last, arm, piece)]
+    if not starts:
+        return None
+    return starts[0], (ends[-1] if ends else float(log.times[-1]))
+
+
+def _motion(poses: list[Array]) -> tuple[float, float]:
+    """Largest displacement [mm] and rotation [deg] of poses against the first."""
+    if not poses:
+        return 0.0, 0.0
+    shift = max(float(np.linalg.norm(pose[:3, 3] - poses[0][:3, 3])) for pose in poses)
+    turn = max(rotation_angle(poses[0][:3, :3], pose[:3, :3]) for pose in poses)
+    return shift * 1e3, float(np.rad2deg(turn))
+
+
+def _slips(log: ExecutionLog) -> list[GraspSlip]:
+    slips = []
+    for record in log.segments:
+        if record.kind != "grasp":
+            continue
+        span = _span(log, "lift", "settle", record.arm, record.piece)
+        if span is None:
+            continue
+        samples = log.between(*span)
+        relative = [inverse(log.tcp_pose(int(i), record.arm)) @ log.piece_pose(int(i), record.piece) for i in samples]
+        slips.append(GraspSlip(record.piece, record.arm, *_motion(relative)))
+    return slips
+
+
+def _holds(log: ExecutionLog) -> list[HoldDrift]:
+    holds = []
+    for record in log.segments:
+        if record.kind != "settle":
+            continue
+        span = _span(log, "settle", "release", record.arm, record.piece)
+        if span is None or span[1] - record.end < 0.5:
+            continue  # let go at once: not a hold
+        samples = log.between(record.end, span[1])
+        drift = _motion([log.piece_pose(int(i), record.piece) for i in samples])
+        grip = float(log.grips[samples, log.arm_names.index(record.arm)].min()) if len(samples) else 0.0
+        holds.append(HoldDrift(record.piece, record.arm, span[1] - record.end, *drift, grip))
+    return holds
+
+
+def _forbidden(log: ExecutionLog, assembly: Assembly, cell: Cell) -> list[ForbiddenContact]:
+    name = lambda k: STAND if k == SUPPORT else assembly.names[k]  # noqa: E731
+    meant = {frozenset((name(c.body_a), name(c.body_b))) for c in assembly.contacts}
+    lifted = {s.piece: s.end for s in log.segments if s.kind == "lift"}
+    fingers = {link: arm.name for arm in cell.arms for link in arm.finger_links}
+    gripping = _gripping_spans(log)
+    found: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    for sample, a, b, force, _ in log.contacts:
+        first, second = sorted((log.bodies[int(a)], log.bodies[int(b)]))
+        time = float(log.times[int(sample)])
+        pair = frozenset((first, second))
+        if pair in meant:
+            continue
+        piece = next((n for n in (first, second) if n in assembly.names), None)
+        other = second if piece == first else first
+        if piece is not None and other == TABLE and time <= lifted.get(piece, np.inf):
+            continue
+        if piece is not None and other in fingers:
+            spans = gripping.get((fingers[other], piece), ())
+            if any(start <= time <= end for start, end in spans):
+                continue
+        found.setdefault((first, second), []).append((time, force))
+    return [
+        ForbiddenContact(a, b, min(t for t, _ in hits), len(hits), max(f for _, f in hits)) for (a, b), hits in sorted(found.items())
+    ]
+
+
+def _gripping_spans(log: ExecutionLog) -> dict[tuple[str, str], list[tuple[float, float]]]:
+    """When each hand may touch each piece: from the approach to the end of the retreat."""
+    spans: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    opened: dict[tuple[str, str], float] = {}
+    for record in log.segments:
+        key = (record.arm, record.piece)
+        if record.kind == "approach":
+            opened[key] = record.start
+        elif record.kind == "retreat" and key in opened:
+            spans.setdefault(key, []).append((opened.pop(key), record.end))
+    for key, start in opened.items():
+        spans.setdefault(key, []).append((start, np.inf))
+    return spans
+
+
+def _limits(log: ExecutionLog, cell: Cell) -> Limits:
+    nearest, fastest = np.inf, 0.0
+    for arm in cell.arms:
+        columns = [log.joint_names.index(name) for name in arm.joint_names]
+        q = log.joints[:, columns]
+        nearest = min(nearest, float((q - arm.lower).min()), float((arm.upper - q).min()))
+        if len(q) > 1:
+            speed = np.abs(np.diff(q, axis=0)) / np.diff(log.times)[:, None] / arm.velocity
+            fastest = max(fastest, float(speed.max()))
+    return Limits(float(np.rad2deg(nearest)), fastest)
