@@ -1,16 +1,18 @@
 """Writes the slim parallel hand of `robots/ur5e_pair`: hand.urdf and the meshes that it shows.
 
 One set of dimensions feeds the collision boxes, the inertias and the chamfered visual meshes, so they cannot drift apart.
-Usage: generate_hand.py [folder]
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import trimesh
+
+if TYPE_CHECKING:
+    import trimesh
 
 # Frame of the flange: z out of the flange, x the closing axis. All in m and kg.
 PALM = np.array((0.060, 0.040, 0.070))
@@ -30,6 +32,13 @@ COLOURS = {
 }
 
 
+def convex(points: np.ndarray) -> trimesh.Trimesh:
+    """Their convex hull."""
+    import trimesh  # takes most of a second, which --help need not
+
+    return trimesh.convex.convex_hull(points)
+
+
 def chamfered(low: tuple[float, ...], high: tuple[float, ...], chamfer: float) -> trimesh.Trimesh:
     """A box from corner to corner [m] with all twelve edges bevelled."""
     low_, high_ = np.array(low), np.array(high)
@@ -38,24 +47,26 @@ def chamfered(low: tuple[float, ...], high: tuple[float, ...], chamfer: float) -
         corner = np.where(np.array(signs) == 1, high_, low_)
         inward = np.where(np.array(signs) == 1, -chamfer, chamfer)
         points += [corner + np.where(np.arange(3) == axis, 0.0, inward) for axis in range(3)]
-    return trimesh.convex.convex_hull(np.array(points))
+    return convex(np.array(points))
 
 
 def band(x: float, y: float, chamfer: float, low: float, high: float) -> trimesh.Trimesh:
     """An upright slab of half sizes x and y [m] with its four upright edges bevelled."""
     outline = [(sx * a, sy * b) for sx in (-1, 1) for sy in (-1, 1) for a, b in ((x - chamfer, y), (x, y - chamfer))]
-    return trimesh.convex.convex_hull(np.array([(*corner, z) for corner in outline for z in (low, high)]))
+    return convex(np.array([(*corner, z) for corner in outline for z in (low, high)]))
 
 
 def turned(profile: list[tuple[float, float]], sections: int = 48) -> trimesh.Trimesh:
     """The convex solid of revolution about z through (radius, z) points [m]."""
     angles = np.linspace(0, 2 * np.pi, sections, endpoint=False)
     points = [(r * np.cos(a), r * np.sin(a), z) for r, z in profile for a in angles]
-    return trimesh.convex.convex_hull(np.array(points))
+    return convex(np.array(points))
 
 
 def meshes() -> dict[str, trimesh.Trimesh]:
     """Visual meshes by file name, in the frame of the link that shows them (fingers: at the pad's centre)."""
+    import trimesh
+
     px, py, pz = PALM / 2 * (1, 1, 2)
     parts = {
         "coupling": turned([(0.0195, 0.0), (0.0195, 0.009), (0.0185, 0.010)]),
@@ -145,7 +156,11 @@ def urdf_text() -> str:
     return text + fixed("tcp_joint", "palm", "tcp", (0.0, 0.0, TCP_Z)) + "</robot>\n"
 
 
-def main(folder: Path) -> None:
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    default = Path(__file__).parents[1] / "robots/ur5e_pair"
+    parser.add_argument("folder", type=Path, nargs="?", default=default, help="where to write (default: %(default)s)")
+    folder = parser.parse_args().folder
     (folder / "meshes").mkdir(parents=True, exist_ok=True)
     (folder / "hand.urdf").write_text(urdf_text())
     for name, mesh in meshes().items():
@@ -153,4 +168,4 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parents[1] / "robots/ur5e_pair")
+    main()

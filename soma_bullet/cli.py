@@ -31,8 +31,10 @@ class PhysicsArguments:
 
     substeps: int = 1
     """Time steps for each sample of a trajectory; trajectories are fed at 480 Hz."""
+    solver: Literal["dantzig", "pgs"] = "dantzig"
+    """dantzig solves the contacts of a step exactly; pgs iterates, and kicks a piece when a hand lets go of it."""
     iterations: int = 300
-    """Iterations of the contact solver a step; with fewer, gripped pieces slip."""
+    """Iterations of the pgs solver a step; with fewer, gripped pieces slip."""
     grip_force: float | None = None
     """[N]; the hand's own by default."""
     friction: float = 1.0
@@ -133,7 +135,7 @@ def _run(options: RunArguments) -> int:
         seed=options.seed,
         planner=PlannerOptions(stability=options.stability),
         feed=FeedOptions(options.feed.layout, options.feed.noise_mm, options.feed.noise_deg),
-        physics=Physics(physics.substeps, physics.iterations, grip_force=physics.grip_force, friction=physics.friction, mass=physics.mass),
+        physics=Physics(physics.substeps, physics.solver, physics.iterations, grip_force=physics.grip_force, friction=physics.friction, mass=physics.mass),
         tolerance=Tolerance(options.tolerance_mm, options.tolerance_deg),
         ablate="" if options.ablate == "none" else options.ablate,
         film=film if options.video else None,

@@ -28,7 +28,9 @@ def cells(body: Sequence[Cell], name: str = "cells", side: float = SIDE) -> Work
     return Workpiece(name, readonly(vertices), readonly(faces, int))
 
 
-def assembly(pieces: Sequence[Workpiece], places: Sequence[Sequence[float]], height: float = 0.0, friction: float = 0.5) -> Assembly:
+def assembly(
+    pieces: Sequence[Workpiece], places: Sequence[Sequence[float]], height: float = 0.0, friction: float = 0.5
+) -> Assembly:
     """Pieces with their origins at `places` (n, 3) [m], unturned."""
     goals = readonly([make_transform(None, place) for place in places])
     return Assembly("test", tuple(pieces), goals, Support(height, friction))
@@ -56,4 +58,5 @@ def scaled(whole: Assembly, factor: float) -> Assembly:
     pieces = tuple(replace(p, vertices=readonly(p.vertices * factor), clearance=p.clearance * factor) for p in whole.pieces)
     goals = np.array(whole.goals)
     goals[:, :3, 3] *= factor
-    return replace(whole, pieces=pieces, goals=readonly(goals), support=replace(whole.support, height=whole.support.height * factor))
+    support = replace(whole.support, height=whole.support.height * factor)
+    return replace(whole, pieces=pieces, goals=readonly(goals), support=support)

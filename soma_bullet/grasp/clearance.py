@@ -43,19 +43,26 @@ class HandSweep:
 
 
 def sweep_hand(
-    hand: Hand, Ts_tcp: Array, widths: Array, opening: float = OPENING, way_out: float = WAY_OUT, sweep: Array | None = None
+    hand: Hand,
+    Ts_tcp: Array,
+    widths: Array,
+    opening: float = OPENING,
+    way_out: float = WAY_OUT,
+    sweep: Array | None = None,
+    gap: float = 0.0,
 ) -> HandSweep:
     """The hand at TCP poses (n, 4, 4) gripping widths (n,) [m], from closed to open by `opening` [m] a side.
 
     Args:
         way_out: the boxes reach this far back along the approach direction [m].
         sweep: they are also swept by this vector (3,) [m] of the outer frame, from the grasp on.
+        gap: the sweep starts with the pads this far off the piece [m] a side.
     """
     zeros = np.zeros(len(widths))
     boxes: list[tuple[Array, Array]] = []
     boxes += [_swept_box(box, zeros, zeros, way_out) for box in hand.palm_boxes]
-    boxes += [_swept_box(box, widths / 2, widths / 2 + opening, way_out) for box in hand.left_boxes]
-    boxes += [_swept_box(box, -widths / 2 - opening, -widths / 2, way_out) for box in hand.right_boxes]
+    boxes += [_swept_box(box, widths / 2 + gap, widths / 2 + opening, way_out) for box in hand.left_boxes]
+    boxes += [_swept_box(box, -widths / 2 - opening, -widths / 2 - gap, way_out) for box in hand.right_boxes]
     centres, generators = [], []
     for local_centres, local_generators in boxes:
         rotation = Ts_tcp[:, :3, :3]
@@ -102,8 +109,11 @@ def hand_hulls(hand: Hand, T_tcp: Array, width: float) -> list[Hull]:
 
 
 def clear_of_piece(hand: Hand, Ts_tcp: Array, widths: Array, parts: Sequence[Hull]) -> Mask:
-    """Which of n grasps (TCP poses in the parts' frame) keep the hand out of the gripped piece itself: bool (n,)."""
-    return sweep_hand(hand, Ts_tcp, widths).separation(parts) > -TOUCH
+    """Which of n grasps (TCP poses in the parts' frame) keep the hand out of the gripped piece itself: bool (n,).
+
+    Only the pads touch it: the flank of a finger along another face would drag the piece along when the hand opens.
+    """
+    return sweep_hand(hand, Ts_tcp, widths, gap=MARGIN).separation(parts) > MARGIN - TOUCH
 
 
 def clear_of_scene(sweep: HandSweep, hulls: Sequence[Hull], support_height: float | None) -> Mask:

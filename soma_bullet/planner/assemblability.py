@@ -81,9 +81,9 @@ def snap_normals(normals: Array) -> Array:
 
 
 def widest_direction(normals: Array) -> tuple[Array, float]:
-    """The unit d (3,) with the largest min n_i . d over unit normals (n, 3), and that clearance t*; t* <= 0 where none is legal.
+    """The unit d (3,) with the largest min n_i . d over unit normals (n, 3), and that clearance; below 0 where none is legal.
 
-    At the best d at most three of the n_i . d are smallest, and equal: each choice of them gives one candidate. (The point of
+    At the best d up to three of the n_i . d are smallest, and equal: each choice of them gives one candidate. (The point of
     conv{n_i} nearest to the origin is t* d; non-negative least squares finds it too, but fails on dependent normals.)
     """
     candidates = [normals]

@@ -11,9 +11,9 @@ import numpy as np
 from soma_bullet.planner.qualities import Placed, Qualities
 
 NOTHING: Placed = frozenset()
-# ((held, clearance-dependent, changes: summed, smaller is better; minus min S), held sets so far): what adds up comes before
-# what takes the least, so that the best way to a held set is part of the best way on from it
-_Label = tuple[tuple[int, int, int, float], list[Placed]]
+# (cost, held sets so far). Cost: pieces gripped again, held, states that depend on clearance, changes, minus min S. What adds
+# up comes before what takes the least, so that the best way to a held set is part of the best way on from it.
+_Label = tuple[tuple[int, int, int, int, float], list[Placed]]
 
 
 @dataclass(frozen=True)
@@ -126,19 +126,24 @@ class Orders:
     def equilibrium_support(self, order: tuple[int, ...]) -> tuple[list[float], list[float], list[Placed], str]:
         """S without holds, S with them, the set that is held after each step, and what fails (empty where nothing does).
 
-        The smallest held sets win; then those with the fewest clearance-dependent states; then those with the fewest changes
-        of hands; then those of the best min S.
+        A piece is not gripped again where it can be avoided. Among such holds the smallest held sets win; then those with the
+        fewest clearance-dependent states; then those with the fewest changes; then those of the best min S.
         """
         raw = [self.q.stability(frozenset(order[: k + 1])).quality for k in range(len(order))]
-        labels: dict[Placed, _Label] = {NOTHING: ((0, 0, 0, -math.inf), [])}
+        labels: dict[Placed, _Label] = {NOTHING: ((0, 0, 0, 0, -math.inf), [])}
         for k, piece in enumerate(order):
             upcoming = order[k + 1] if k + 1 < len(order) else None
             after: dict[Placed, _Label] = {}
-            for before, ((count, leaning, changes, worst), path) in labels.items():
+            for before, ((again, count, leaning, changes, worst), path) in labels.items():
                 for held in self.held_after(frozenset(order[:k]), piece, before, upcoming):
                     state = self.q.stability(frozenset(order[: k + 1]), held)
-                    leans = state.verdict == "clearance-dependent"
-                    cost = (count + len(held), leaning + leans, changes + len(held - before), max(worst, -state.quality))
+                    cost = (
+                        again + len(held - before - {piece}),
+                        count + len(held),
+                        leaning + (state.verdict == "clearance-dependent"),
+                        changes + len(held - before),
+                        max(worst, -state.quality),
+                    )
                     if held not in after or cost < after[held][0]:
                         after[held] = (cost, [*path, held])
             if not after:

@@ -1,6 +1,6 @@
 """The cell: arms, hands, table and stand as described in `robots/<cell>/cell.toml`.
 
-A further cell is a further folder. Every link and joint carries its arm's prefix in the composed URDF (`compose.py`): `left_tool0`.
+A further cell is a further folder. In the composed URDF (`compose.py`) links and joints carry their arm's prefix: `left_tool0`.
 """
 
 from __future__ import annotations

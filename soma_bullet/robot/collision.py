@@ -17,7 +17,8 @@ from soma_bullet.assembly.hulls import Hull
 from soma_bullet.frames import Array
 from soma_bullet.robot.kinematics import Robot
 
-MARGIN = 2e-3  # [m] kept between bodies that are not meant to touch
+MARGIN = 5e-3  # [m] kept to the links of an arm: the simulator's convex hulls stand out by up to 1 mm each
+HAND_MARGIN = 2e-3  # [m] kept between hands, pieces, table and stand, which are boxes or exact hulls
 NEAR_MARGIN = 5e-4  # [m] kept between a hand or what it carries and pieces: the hand works among them
 TOUCH_MARGIN = -5e-5  # [m] bodies that are meant to touch may overlap by this
 
@@ -182,7 +183,9 @@ class Scene:
             return TOUCH_MARGIN
         pieces = names & set(self.collision_model.piece_shapes)
         hands = names & self.collision_model.hand_links
-        return NEAR_MARGIN if len(pieces) == 2 or (pieces and hands) else MARGIN
+        if len(pieces) == 2 or (pieces and hands):
+            return NEAR_MARGIN
+        return HAND_MARGIN if names <= pieces | hands | {"table", "stand"} else MARGIN
 
     def _rigid(self, a: int, b: int) -> bool:
         """Whether two shapes hang on the same joint."""

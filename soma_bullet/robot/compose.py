@@ -16,11 +16,14 @@ from soma_bullet.robot.cell import Arm, Cell, mesh_file, parse_urdf
 _TINY_MASS, _TINY_INERTIA = 1e-3, 1e-6  # [kg], [kg m^2]
 
 
-def compose_urdf(cell: Cell, stand_size_xy: tuple[float, float], path_out: Path, visuals: bool = True) -> Path:
+def compose_urdf(
+    cell: Cell, stand_size_xy: tuple[float, float], path_out: Path, visuals: bool = True, fixtures: bool = True
+) -> Path:
     """Writes the whole cell as one URDF: `world`, `table`, `stand`, then each arm and its hand under the arm's prefix.
 
     Args:
         stand_size_xy: the stand's footprint [m], from the assembly's.
+        fixtures: table and stand; a simulator may want them as bodies of their own.
         visuals: without them the file loads faster and shows nothing but table and stand.
 
     Raises:
@@ -35,8 +38,9 @@ def compose_urdf(cell: Cell, stand_size_xy: tuple[float, float], path_out: Path,
     if (stand_size <= 0).any():
         faults.append(f"stand_size_xy = {stand_size_xy}: must be positive")
     robot = u.Robot(name=cell.name, links=[u.Link(name="world", inertial=_tiny())])
-    _add_box(robot, "table", cell.table.size, (*cell.table.centre, -cell.table.size[2] / 2), cell.table.colour)
-    _add_box(robot, "stand", stand_size, (*cell.stand_centre, cell.stand_height / 2), cell.stand_colour)
+    if fixtures:
+        _add_box(robot, "table", cell.table.size, (*cell.table.centre, -cell.table.size[2] / 2), cell.table.colour)
+        _add_box(robot, "stand", stand_size, (*cell.stand_centre, cell.stand_height / 2), cell.stand_colour)
     for arm in cell.arms:
         part = _prepared(arm, faults)
         _append(robot, part, arm.name, "world", arm.prefixed(arm.model.base_link), arm.T_world_base)
@@ -45,8 +49,9 @@ def compose_urdf(cell: Cell, stand_size_xy: tuple[float, float], path_out: Path,
         _append(robot, hand, arm.name, arm.tool_link, arm.prefixed(arm.hand.mount_link), np.eye(4))
     names = [link.name for link in robot.links]
     faults += [f"link {name} would be there twice" for name in sorted(set(names)) if names.count(name) > 1]
+    unchecked = {link for pair in cell.never_checked for link in pair}
     faults += [f"collision.never_checked: {link!r} is not a link of the cell"
-               for link in sorted({link for pair in cell.never_checked for link in pair} - set(names))]  # fmt: skip
+               for link in sorted(unchecked - {*names, "table", "stand"})]  # fmt: skip
     if faults:
         raise InputError(str(cell.path), faults)
     if not visuals:

@@ -63,7 +63,7 @@ class Phase:
 
 def phases(log: ExecutionLog) -> tuple[Phase, ...]:
     """The phases of an episode, in order."""
-    groups = groupby(log.segments, key=lambda s: (PHASES.get(s.kind, s.kind), s.arm, s.piece))
+    groups = groupby(log.segments, key=lambda s: (str(PHASES.get(s.kind, s.kind)), s.arm, s.piece))
     return tuple(Phase(kind, arm, piece, tuple(segments)) for (kind, arm, piece), segments in groups)
 
 
@@ -106,7 +106,8 @@ def narration(log: ExecutionLog, least: float) -> list[tuple[float, str, str]]:
     lines: list[tuple[float, str, str]] = []
     for phase in phases(log):
         lines.append((phase.start, says(phase), phase.piece))
-        lines += [(s.end, f"{s.arm}: {FAILURES[s.outcome].format(piece=s.piece)}", s.piece) for s in phase.segments if s.outcome in FAILURES]
+        failed = [s for s in phase.segments if s.outcome in FAILURES]
+        lines += [(s.end, f"{s.arm}: {FAILURES[s.outcome].format(piece=s.piece)}", s.piece) for s in failed]
     shown: list[tuple[float, str, str]] = []
     free = -np.inf  # when the line before has been on show for long enough
     for k, (start, words, piece) in enumerate(lines):

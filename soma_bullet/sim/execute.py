@@ -49,12 +49,10 @@ class Executor:
     def __init__(self, world: World, program: Program):
         self.world, self.program = world, program
         self.recorder = Recorder()
-        self.bodies = [*world.link_ids, *world.pieces]
-        self._codes = {(world.robot, link): k for k, link in enumerate(world.link_ids.values())}
-        self._codes |= {(body, -1): len(world.link_ids) + k for k, body in enumerate(world.pieces.values())}
-        self._codes[world.robot, -1] = self.bodies.index("world") if "world" in self.bodies else len(self.bodies)
-        if "world" not in self.bodies:
-            self.bodies.append("world")
+        self.bodies = [*world.link_ids, "world", *world.fixtures, *world.pieces]
+        links = [(world.robot, link) for link in world.link_ids.values()]
+        others = [(body, -1) for body in (world.robot, *world.fixtures.values(), *world.pieces.values())]
+        self._codes = {key: code for code, key in enumerate([*links, *others])}
 
     def run(self, segment: Segment) -> Observation:
         """Run one segment to its end or to its guard."""

@@ -18,7 +18,7 @@ from soma_bullet.frames import Array
 Faces = NDArray[np.int64]
 Colour = tuple[float, float, float]
 
-ARROW: Colour = (0.95, 0.55, 0.10)
+ARROW: Colour = (0.86, 0.11, 0.22)
 # Distinct for the colour-blind as well, in the order in which pieces are listed.
 PIECES: tuple[Colour, ...] = (
     (0.13, 0.45, 0.78), (0.93, 0.49, 0.13), (0.20, 0.62, 0.38), (0.80, 0.25, 0.28),

@@ -13,21 +13,25 @@ from itertools import product
 import numpy as np
 
 from soma_bullet.assembly.model import Assembly
-from soma_bullet.frames import Array, apply
-from soma_bullet.sim.camera import Camera, Sight
+from soma_bullet.frames import Array, apply, tangents
+from soma_bullet.sim.camera import Arrow, Camera, Sight
 from soma_bullet.sim.caption import Phase, holds, phases
 from soma_bullet.sim.log import ExecutionLog
 
-YAWS, PITCHES = tuple(range(-75, 76, 15)), (-18.0, -28.0, -38.0)  # [deg]
+YAWS, PITCHES = tuple(range(-75, 76, 15)), (-14.0, -21.0, -28.0, -36.0, -46.0)  # [deg]
 FRAME = ((-0.80, 0.80), (-0.66, 0.82))  # of the picture, right and up: what matters stays inside; the caption is below
-NEAREST = {"pick": 0.95, "insert": 0.55, "end": 0.55}  # [m]
-ZOOM_RATE = 0.75  # change of the distance's logarithm a second
-TURN_RATE = 16.0  # [deg/s] of yaw
+NEAREST = {"pick": 0.95, "insert": 0.46, "end": 0.44}  # [m]
+LIKED = {"pick": (30.0, -27.0), "insert": (35.0, -22.0), "end": (32.0, -18.0)}  # [deg] yaw to either side, and pitch; of equals
+ZOOM_RATE = 0.9  # change of the distance's logarithm a second
+TURN_RATE = 20.0  # [deg/s] of yaw
 TURN_COST = 0.006  # of one degree, in fractions of what is seen
 HAND = 0.11  # [m] from the fingertips to the wrist, which is to be in the picture
 DRIFT = 8.0  # [deg] of yaw during the last hold
+HOLD = 2.0  # [s] that the finished assembly is shown at the end
+ARROW_LENGTH = (0.05, 0.08)  # [m]
+ASIDE = 0.034  # [m] from the path of the piece's centre to the arrow beside it
 SEEN = 4e-3  # [m] a ray that ends nearer to its point has seen it
-BLOCKED_COST = 0.8  # of a picture that is full of what is near the camera
+BLOCKED_COST = 2.5  # of a picture whose middle is full of what is before the action
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,8 @@ class View:
     Attributes:
         times: of the simulation [s], at which the view is to show much.
         subjects: points (n, 3) [m] that stay in the picture.
-        piece: whose surface is to be seen; None for all.
+        pieces: whose surfaces are to be seen.
+        direction: of an arrow that is to be seen from its side (3,), or zero.
     """
 
     kind: str
@@ -46,9 +51,10 @@ class View:
     times: tuple[float, ...]
     subjects: Array
     pieces: tuple[str, ...]
+    direction: Array
 
 
-def framed(points: Array, yaw: float, pitch: float, nearest: float, aspect: float, fov: float = 35.0) -> Camera:
+def framed(points: Array, yaw: float, pitch: float, nearest: float, aspect: float, fov: float = 42.0) -> Camera:
     """The nearest camera of these angles that has all points (n, 3) within FRAME, and not nearer than `nearest` [m]."""
     axes = Camera((0.0, 0.0, 0.0), 1.0, yaw, pitch, fov).axes
     local = points @ axes
@@ -71,8 +77,8 @@ def framed(points: Array, yaw: float, pitch: float, nearest: float, aspect: floa
     return Camera(tuple(target.tolist()), plane - centre, yaw, pitch, fov)
 
 
-def views(log: ExecutionLog, assembly: Assembly, speed: float, hold: float) -> list[View]:
-    """What the film is to show, in order: every pick, every insertion, and the end, which stays for `hold` [s]."""
+def views(log: ExecutionLog, assembly: Assembly, speed: float) -> list[View]:
+    """What the film is to show, in order: every pick, every insertion, and the end, which stays for HOLD."""
     found = []
     for phase in phases(log):
         if phase.kind == "pick" and any(s.kind == "grasp" for s in phase.segments):
@@ -82,11 +88,13 @@ def views(log: ExecutionLog, assembly: Assembly, speed: float, hold: float) -> l
             slow = next((s for s in phase.segments if s.kind == "place"), phase.segments[0])
             found.append(_view("insert", log, assembly, phase, (slow.start, phase.end), speed))
     last = float(log.times[-1])
-    points = np.concatenate([_surface(log, assembly, last, name) for name in assembly.names if _is_placed(log, assembly, name)] or
-                            [_goal(log, assembly, name) for name in assembly.names])  # fmt: skip
+    built = [name for name in assembly.names if _is_there(log, assembly, name, last)]
+    surfaces = [_surface(log, assembly, last, name) for name in built] or [_goal(log, assembly, n) for n in assembly.names]
+    points = np.concatenate(surfaces)
     home = max((p.start for p in phases(log) if p.kind == "final"), default=last)
+    times = (*np.linspace(max(home - 2.0, 0.0), home, 4).tolist(), last)  # the arms leave the picture without crossing it
     points = np.concatenate((points, points * (1, 1, 0.82)))  # the foot of the stand is worth seeing as well
-    return [*found, View("end", home / speed, last / speed + hold, (last,), points, assembly.names)]
+    return [*found, View("end", home / speed, last / speed + HOLD, times, points, assembly.names, np.zeros(3))]
 
 
 def _view(kind: str, log: ExecutionLog, assembly: Assembly, phase: Phase, span: tuple[float, float], speed: float) -> View:
@@ -96,8 +104,9 @@ def _view(kind: str, log: ExecutionLog, assembly: Assembly, phase: Phase, span: 
     for time in (begin, span[1]):
         subjects += [_hand(log, time, arm) for arm in sorted(arms)]
         subjects.append(_surface(log, assembly, time, phase.piece))
-    times = (span[0], span[1]) if kind == "pick" else ((phase.start + span[0]) / 2, span[0], span[1])
-    return View(kind, span[0] / speed, span[1] / speed, times, np.concatenate(subjects), (phase.piece,))
+    times = (*span, phase.end) if kind == "pick" else (phase.start, (phase.start + span[0]) / 2, *span)
+    direction = phase.direction if kind == "insert" else np.zeros(3)
+    return View(kind, span[0] / speed, span[1] / speed, times, np.concatenate(subjects), (phase.piece,), direction)
 
 
 def _sample(log: ExecutionLog, time: float) -> int:
@@ -122,11 +131,61 @@ def _surface(log: ExecutionLog, assembly: Assembly, time: float, name: str) -> A
     return apply(log.piece_pose(_sample(log, time), name), points)
 
 
-def _is_placed(log: ExecutionLog, assembly: Assembly, name: str) -> bool:
-    """Whether a piece ended up anywhere near its goal: what fell off is not to draw the camera away."""
-    end = log.piece_pose(-1, name)[:3, 3]
+def _is_there(log: ExecutionLog, assembly: Assembly, name: str, time: float) -> bool:
+    """Whether a piece is anywhere near its goal: what fell off is not to draw the camera away."""
+    end = log.piece_pose(_sample(log, time), name)[:3, 3]
     goal = (log.T_world_assembly @ assembly.goals[assembly.index(name)])[:3, 3]
     return float(np.linalg.norm(end - goal)) < 0.05
+
+
+@dataclass(frozen=True)
+class Take:
+    """Camera and arrow (None where there is none) of every frame."""
+
+    cameras: tuple[Camera, ...]
+    arrows: tuple[Arrow | None, ...]
+
+
+def direct(
+    log: ExecutionLog, assembly: Assembly, sight: Sight, times: Array, speed: float, aspect: float, fixed: Camera | None = None
+) -> Take:
+    """Cameras and arrows at the times of the frames [s of the film], `speed` times which are simulated seconds.
+
+    Args:
+        sight: of the cell and the pieces; is moved about.
+        fixed: a camera that stays.
+    """
+    if fixed is None:
+        wanted = views(log, assembly, speed)
+        cameras = cameras_at(times, wanted, calmed(wanted, choose(log, assembly, wanted, sight, aspect)))
+    else:
+        cameras = [fixed] * len(times)
+    arrows: list[Arrow | None] = [None] * len(times)
+    for phase in phases(log):
+        frames = np.flatnonzero((times * speed >= phase.start) & (times * speed <= phase.end))
+        if phase.kind == "insert" and phase.direction.any() and len(frames):
+            arrow = _arrow(log, assembly, phase, sight, [cameras[frames[0]], cameras[frames[-1]]])
+            for k in frames:
+                arrows[k] = arrow
+    return Take(tuple(cameras), tuple(arrows))
+
+
+def _arrow(log: ExecutionLog, assembly: Assembly, phase: Phase, sight: Sight, cameras: Sequence[Camera]) -> Arrow:
+    """An arrow that ends beside the piece's goal, on the side where the cameras see most of it."""
+    k = assembly.index(phase.piece)
+    goal = apply(log.T_world_assembly, assembly.goal_centres[k])
+    travel = sum(float(np.linalg.norm(s.offset)) for s in phase.segments if s.kind in ("insert", "place"))
+    length = float(np.clip(travel, *ARROW_LENGTH))
+    along, side = phase.direction, tangents(phase.direction)
+    shaft = goal - np.linspace(0.0, length, 9)[:, None] * along
+    offsets = [ASIDE * (np.cos(a) * side[0] + np.sin(a) * side[1]) for a in np.linspace(0, 2 * np.pi, 12, endpoint=False)]
+    seen = np.zeros(len(offsets))
+    for time, camera in zip((phase.start, phase.end), cameras, strict=True):
+        _place(sight, log, time)
+        seen += [float(_seen(sight, [camera], shaft + offset)[0]) for offset in offsets]
+        # of equals, the one that stands clear of the piece in the picture, and not below it
+        seen += [0.3 * float(camera.axes[:, 0] @ o) ** 2 / ASIDE**2 + 0.1 * o[2] / ASIDE for o in offsets]
+    return Arrow(goal + offsets[int(seen.argmax())] - length * along, along, length)
 
 
 # --- choosing ----------------------------------------------------------------------------------------------------------
@@ -137,7 +196,7 @@ def choose(log: ExecutionLog, assembly: Assembly, wanted: Sequence[View], sight:
     angles = list(product(YAWS, PITCHES))
     values = np.array([_values(log, assembly, view, angles, sight, aspect) for view in wanted])
     yaws, pitches = np.array(angles).T
-    turns = np.abs(yaws[:, None] - yaws) + 1.5 * np.abs(pitches[:, None] - pitches)
+    turns = np.abs(yaws[:, None] - yaws) + 1.2 * np.abs(pitches[:, None] - pitches)
     best, back = values[0], []
     for k in range(1, len(wanted)):
         gap = max(wanted[k].start - wanted[k - 1].end, 0.3)
@@ -158,32 +217,58 @@ def _values(
     cameras = [framed(view.subjects, *angle, NEAREST[view.kind], aspect) for angle in angles]
     total = np.zeros(len(cameras))
     for time in view.times:
-        sample = _sample(log, time)
-        sight.place(dict(zip(log.joint_names, log.joints[sample].tolist(), strict=True)),
-                    {name: log.piece_pose(sample, name) for name in log.piece_names})  # fmt: skip
+        _place(sight, log, time)
         surface = np.concatenate([_surface(log, assembly, time, name) for name in view.pieces])
-        hands = np.concatenate([_hand(log, time, arm)[:1] for arm in log.arm_names]) if view.kind == "insert" else surface[:0]
-        for k, camera in enumerate(cameras):
-            total[k] += _seen(sight, camera, surface) - BLOCKED_COST * _blocked(sight, camera, aspect)
-            if len(hands):
-                total[k] += 0.15 * _seen(sight, camera, hands, 0.03)
+        total += _seen(sight, cameras, surface) - BLOCKED_COST * _blocked(sight, cameras, aspect)
+        built = [_surface(log, assembly, time, n) for n in assembly.names if _is_there(log, assembly, n, time)]
+        if view.kind == "pick" and built:
+            total += 0.5 * _seen(sight, cameras, np.concatenate(built))
+        if view.kind == "insert":
+            tips = np.concatenate([_hand(log, time, arm)[:1] for arm in log.arm_names])
+            total += 0.15 * _seen(sight, cameras, tips, 0.03)
     total /= len(view.times)
-    yaws = np.array([camera.yaw for camera in cameras])
-    return total - 0.0015 * np.abs(np.abs(yaws) - 30.0)  # of equals, the three-quarter view
+    yaw, pitch = LIKED[view.kind]
+    for k, camera in enumerate(cameras):
+        total[k] -= 0.0015 * abs(abs(camera.yaw) - yaw) + 0.005 * abs(camera.pitch - pitch)
+        total[k] += 0.5 * float(np.linalg.norm(np.cross(view.direction, camera.axes[:, 2])))
+    return total
 
 
-def _seen(sight: Sight, camera: Camera, points: Array, within: float = SEEN) -> float:
-    """Fraction of points that are in sight of a camera."""
-    short = (1.0 - sight.reach(camera.eye, points)) * np.linalg.norm(points - camera.eye, axis=1)
-    return float((short < within).mean())
+def _place(sight: Sight, log: ExecutionLog, time: float) -> None:
+    sample = _sample(log, time)
+    joints = dict(zip(log.joint_names, log.joints[sample].tolist(), strict=True))
+    sight.place(joints, {name: log.piece_pose(sample, name) for name in log.piece_names})
 
 
-def _blocked(sight: Sight, camera: Camera, aspect: float) -> float:
-    """Fraction of the picture that something fills which is nearer than half the way to the target."""
-    half = np.tan(np.deg2rad(camera.fov) / 2)
-    u, v = (side.ravel() for side in np.meshgrid(np.linspace(-0.9, 0.9, 9), np.linspace(-0.9, 0.9, 5)))
-    rays = np.stack((u * half * aspect, v * half, -np.ones_like(u)), axis=1) @ camera.axes.T
-    return float((sight.reach(camera.eye, camera.eye + 0.55 * camera.distance * rays) < 1.0).mean())
+def _seen(sight: Sight, cameras: Sequence[Camera], points: Array, within: float = SEEN) -> Array:
+    """Fraction of points (n, 3) that are in sight of each camera."""
+    eyes = np.repeat([camera.eye for camera in cameras], len(points), axis=0)
+    ends = np.tile(points, (len(cameras), 1))
+    short = (1.0 - sight.reach(eyes, ends)) * np.linalg.norm(ends - eyes, axis=1)
+    return (short < within).reshape(len(cameras), -1).mean(axis=1)
+
+
+def _blocked(sight: Sight, cameras: Sequence[Camera], aspect: float) -> Array:
+    """Fraction of the middle of each camera's picture that something fills which is clearly before the target."""
+    u, v = (side.ravel() for side in np.meshgrid(np.linspace(-0.75, 0.75, 11), np.linspace(-0.5, 0.75, 6)))
+    starts, ends = [], []
+    for camera in cameras:
+        half = np.tan(np.deg2rad(camera.fov) / 2)
+        rays = np.stack((u * half * aspect, v * half, -np.ones_like(u)), axis=1) @ camera.axes.T
+        starts.append(np.broadcast_to(camera.eye, rays.shape))
+        ends.append(camera.eye + 0.75 * camera.distance * rays)
+    reached = sight.reach(np.concatenate(starts), np.concatenate(ends))
+    return (reached < 1.0).reshape(len(cameras), -1).mean(axis=1)
+
+
+def portrait(log: ExecutionLog, assembly: Assembly, sight: Sight, aspect: float) -> Camera:
+    """The camera of the still: the assembly between the two arms, from where most of it is seen."""
+    end = float(log.times[-1])
+    _place(sight, log, end)
+    surface = np.concatenate([_surface(log, assembly, end, name) for name in assembly.names])
+    cameras = [framed(sight.robot(), yaw, -17.0, 1.0, aspect, 24.0) for yaw in (-60, -45, -30, -15, 15, 30, 45, 60)]
+    away = np.abs(np.abs([camera.yaw for camera in cameras]) - 30.0)
+    return cameras[int((_seen(sight, cameras, surface) - 0.002 * away).argmax())]
 
 
 # --- moving ------------------------------------------------------------------------------------------------------------

@@ -5,22 +5,22 @@ The only constraints couple the two fingers of a hand (JOINT_GEAR), as the gears
 
 from __future__ import annotations
 
-import contextlib
-import os
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
-import pybullet as p
 
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, inverse, to_quat_xyzw
 from soma_bullet.frames import from_quat_xyzw as transform_of
 from soma_bullet.robot.cell import Cell
-from soma_bullet.robot.kinematics import compose_urdf
+from soma_bullet.robot.compose import compose_urdf
 from soma_bullet.sim.bodies import write_piece_urdf
+from soma_bullet.sim.quiet import pybullet as p
+from soma_bullet.sim.quiet import silenced
 from soma_bullet.task.program import DT
 
 
@@ -30,7 +30,8 @@ class Physics:
 
     Attributes:
         substeps: time steps for each sample of a trajectory.
-        iterations: of the constraint solver; with two arms and a gripped piece fewer do not converge.
+        solver: `dantzig` solves the contacts of a step exactly; `pgs` iterates, and kicks a piece when a hand lets go of it.
+        iterations: of the iterative solver; with two arms and a gripped piece fewer do not converge.
         gravity: [m/s2].
         grip_force: [N]; None for the hand's own.
         friction: factor on every friction coefficient.
@@ -39,6 +40,7 @@ class Physics:
     """
 
     substeps: int = 1
+    solver: Literal["dantzig", "pgs"] = "dantzig"
     iterations: int = 300
     gravity: float = 9.81
     grip_force: float | None = None
@@ -56,19 +58,6 @@ GEAR_ERP = 0.2
 GEAR_FORCE = 1e4  # [N]
 CLOSING_SPEED, OPENING_SPEED = 0.05, 0.1  # [m/s]
 TABLE_FRICTION = 0.5
-
-
-@contextlib.contextmanager
-def silenced() -> Iterator[None]:
-    """PyBullet prints warnings to the process's standard output; not here."""
-    saved, null = os.dup(1), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(null, 1)
-    try:
-        yield
-    finally:
-        os.dup2(saved, 1)
-        os.close(saved)
-        os.close(null)
 
 
 class World:
@@ -91,7 +80,9 @@ class World:
             p.setPhysicsEngineParameter(
                 fixedTimeStep=physics.dt, numSolverIterations=physics.iterations, deterministicOverlappingPairs=1,
                 enableFileCaching=0, physicsClientId=self.client,
+                constraintSolverType=p.CONSTRAINT_SOLVER_LCP_DANTZIG if physics.solver == "dantzig" else p.CONSTRAINT_SOLVER_LCP_SI,
             )  # fmt: skip
+            self._load_fixtures(stand)
             self._load_robot(Path(folder), stand)
             self._load_pieces(Path(folder), poses)
         self._couple_fingers()
@@ -106,7 +97,7 @@ class World:
     # --- loading, before the clock starts ---------------------------------------------------------------------------------
 
     def _load_robot(self, folder: Path, stand: tuple[float, float]) -> None:
-        urdf = compose_urdf(self.cell, stand, folder / "cell.urdf", visuals=False)
+        urdf = compose_urdf(self.cell, stand, folder / "cell.urdf", visuals=False, fixtures=False)
         flags = p.URDF_USE_INERTIA_FROM_FILE | p.URDF_USE_SELF_COLLISION
         self.robot = p.loadURDF(str(urdf), useFixedBase=True, flags=flags, physicsClientId=self.client)
         count = p.getNumJoints(self.robot, physicsClientId=self.client)
@@ -114,10 +105,9 @@ class World:
         self.joint_ids = {row[1].decode(): k for k, row in enumerate(info)}
         self.link_ids = {row[12].decode(): k for k, row in enumerate(info)}
         self.moving_joints = tuple(row[1].decode() for row in info if row[2] != p.JOINT_FIXED)
-        for first, second in self.cell.never_checked:
-            p.setCollisionFilterPair(
-                self.robot, self.robot, self.link_ids[first], self.link_ids[second], 0, physicsClientId=self.client
-            )
+        for pair in self.cell.never_checked:
+            (body_a, link_a), (body_b, link_b) = (self._body_of(name) for name in pair)
+            p.setCollisionFilterPair(body_a, body_b, link_a, link_b, 0, physicsClientId=self.client)
         self.arm_joints = [[self.joint_ids[name] for name in arm.joint_names] for arm in self.cell.arms]
         self.finger_joints = [[self.joint_ids[name] for name in arm.finger_joints] for arm in self.cell.arms]
         self.finger_links = [[self.link_ids[name] for name in arm.finger_links] for arm in self.cell.arms]
@@ -130,8 +120,23 @@ class World:
         for arm, links in zip(self.cell.arms, self.finger_links, strict=True):
             for link in links:
                 self._rub(self.robot, link, np.sqrt(arm.hand.pad_friction) * scale, anchor=True)
-        self._rub(self.robot, self.link_ids["table"], np.sqrt(TABLE_FRICTION) * scale)
-        self._rub(self.robot, self.link_ids["stand"], np.sqrt(self.assembly.support.friction) * scale)
+
+    def _body_of(self, name: str) -> tuple[int, int]:
+        """Body and link that a name of the cell stands for."""
+        return (self.fixtures[name], -1) if name in self.fixtures else (self.robot, self.link_ids[name])
+
+    def _load_fixtures(self, stand: tuple[float, float]) -> None:
+        """Table and stand as bodies of their own: contacts with them then do not couple pieces that lie apart."""
+        table, height = self.cell.table, self.cell.stand_height
+        boxes = {
+            "table": (table.size, (*table.centre, -table.size[2] / 2), TABLE_FRICTION),
+            "stand": (np.array((*stand, height)), (*self.cell.stand_centre, height / 2), self.assembly.support.friction),
+        }
+        self.fixtures: dict[str, int] = {}
+        for name, (size, centre, friction) in boxes.items():
+            shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=(size / 2).tolist(), physicsClientId=self.client)
+            self.fixtures[name] = p.createMultiBody(0, shape, basePosition=[float(v) for v in centre], physicsClientId=self.client)
+            self._rub(self.fixtures[name], -1, np.sqrt(friction * self.physics.friction))
 
     def _rub(self, body: int, link: int, coefficient: float, anchor: bool = False) -> None:
         """Set friction; Bullet multiplies the two bodies' coefficients, so each is the root of its own: the product is the geometric mean."""

@@ -66,7 +66,7 @@ def test_arrays_cannot_be_changed() -> None:
 
 def test_all_faults_at_once(folder: Path) -> None:
     path = edit(folder / "hand.toml", ('unit = "mm"', ""), ("opening = 85.0", "opening = -1\nwidth = 3"),
-                ("force = 40.0", "force = 400.0"), ('"hand.urdf"', '"none.urdf"'))  # fmt: skip
+                ("\nforce = ", "\nforce = 400.0  # "), ('"hand.urdf"', '"none.urdf"'))  # fmt: skip
     with pytest.raises(InputError) as caught:
         load_hand(path)
     text = "\n".join(caught.value.faults)

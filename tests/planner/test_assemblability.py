@@ -129,8 +129,7 @@ def test_the_finite_scale(kind: str, clearance: float, quality: float) -> None:
 
 
 def test_the_ordinal_scale() -> None:
-    order = ["free", "plane", "wedge", "corner", "slot", "slot + bottom", "slot + bottom + wall", "peg through", "peg blind", "locked"]
-    assert [ORDINAL[kind] for kind in order] == [np.inf, 10, 10, 10, 9, 3, 3, 2, 1, 0]
+    assert [ORDINAL[kind] for kind, *_ in TYPES] == [np.inf, 10, 10, 10, 9, 3, 3, 2, 1, 0]
 
 
 def roofed(roof: list[tuple[int, int, int]], gap: float = 0.5) -> Assembly:
@@ -162,7 +161,8 @@ def test_a_room_without_a_door_is_no_way_in() -> None:
 
 def test_a_lower_quality_where_the_best_direction_is_blocked() -> None:
     """Two walls make a wedge; a stopper in the diagonal leaves the way up, which has less clearance."""
-    walls = cells([(0, j, k) for j in range(-2, 3) for k in range(2)] + [(i, j, -1) for i in range(5) for j in range(-2, 3)], "w")
+    upright, floor = ([(0, j, k) for j in range(-2, 3) for k in range(2)], [(i, j, -1) for i in range(5) for j in range(-2, 3)])
+    walls = cells(upright + floor, "w")
     whole = assembly([walls, cells([(1, 0, 0)], "c"), cells([(2, 0, 1)], "s")], [(0, 0, 0)] * 3, height=-1.5 * SIDE)
     free, blocked = analyse(whole, "c", "w"), analyse(whole, "c", "ws")
     assert free.direction == pytest.approx(-(X + Z) / np.sqrt(2))

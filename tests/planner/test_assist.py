@@ -81,7 +81,8 @@ def test_a_load_far_from_the_pads_turns_the_piece(hand: Hand) -> None:
     margins = []
     for offset in (0.0, 0.02, 0.04, 0.06):
         whole = in_the_air(mass=0.3, size=(SIZE, 0.16, 0.02))
-        certificate = certify_hold(whole, hand, frozenset({0}), 0, from_above((0, offset, 0)), "dropped", load=HoldLoad(0.0, 0.01))
+        T, load = from_above((0, offset, 0)), HoldLoad(push=0.0, disturbance=0.01)
+        certificate = certify_hold(whole, hand, frozenset({0}), 0, T, "dropped", load=load)
         margins.append(certificate.margin)
         assert abs(certificate.wrench[3]) == pytest.approx(whole.pieces[0].mass * GRAVITY * offset, abs=1e-3)
     assert margins[0] > 0

@@ -10,6 +10,7 @@ import trimesh
 from blocks import box, refined
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import KDTree
 
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
@@ -17,7 +18,7 @@ from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.frames import Array, apply
 from soma_bullet.grasp.clearance import MARGIN, OPENING, SUPPORT_MARGIN, WAY_OUT, hand_hulls, sweep_hand
 from soma_bullet.grasp.hand import Hand
-from soma_bullet.grasp.sampling import SamplingOptions, sample_grasps
+from soma_bullet.grasp.sampling import GraspSet, SamplingOptions, sample_grasps
 from soma_bullet.planner.qualities import PlannerOptions, Qualities
 
 ALL = {name: load_assembly(name) for name in ("soma3", "soma4")}
@@ -29,13 +30,15 @@ def qualities(hand: Hand) -> dict[str, Qualities]:
     return {name: Qualities(whole, hand, PlannerOptions()) for name, whole in ALL.items()}
 
 
-def nearest_normals(piece: Workpiece, points: Array) -> tuple[Array, Array]:
-    """Distance (n,) of points from the surface, and the outward normals of the nearest triangles (n, 3): trimesh's own word."""
+def surface(piece: Workpiece, points: Array, directions: Array) -> tuple[Array, Array]:
+    """Distance (n,) of points from the surface, and how well a face there looks along `directions` (n, 3): trimesh's word."""
     triangles = piece.mesh.triangles
     count = len(triangles)
-    closest = trimesh.triangles.closest_point(np.tile(triangles, (len(points), 1, 1)), np.repeat(points, count, axis=0))
-    distance = np.linalg.norm(closest - np.repeat(points, count, axis=0), axis=1).reshape(-1, count)
-    return distance.min(axis=1), piece.mesh.face_normals[distance.argmin(axis=1)]
+    there = np.repeat(points, count, axis=0)
+    closest = trimesh.triangles.closest_point(np.tile(triangles, (len(points), 1, 1)), there)
+    distance = np.linalg.norm(closest - there, axis=1).reshape(-1, count)
+    facing = directions @ piece.mesh.face_normals.T
+    return distance.min(axis=1), np.where(distance < 1e-6, facing, -1.0).max(axis=1)
 
 
 @pytest.mark.parametrize("name", sorted(PIECES))
@@ -46,12 +49,9 @@ def test_pads_lie_on_opposite_faces(name: str, hand: Hand) -> None:
     closing = grasps.Ts_piece_tcp[:, :3, 0]
     for side in (1, -1):
         pads = grasps.Ts_piece_tcp[:, :3, 3] + side * closing * grasps.widths[:, None] / 2
-        distance, normals = nearest_normals(piece, pads)
+        distance, facing = surface(piece, pads, side * closing)
         assert distance.max() < 1e-6
-        # the pad presses on a face that looks towards it
-        inside, _ = nearest_normals(piece, pads - side * closing * 1e-4)
-        assert np.abs(inside - 1e-4).max() < 1e-6
-        assert np.einsum("ij,ij->i", normals, side * closing).min() > 1 - 1e-9
+        assert facing.min() > 1 - 1e-9
 
 
 @pytest.mark.parametrize("name", sorted(PIECES))
@@ -125,9 +125,17 @@ def test_tessellation_changes_no_grasp(seed: int, hand: Hand) -> None:
     for coarse, fine in zip(whole.pieces, refined(whole, seed).pieces, strict=True):
         first, second = (sample_grasps(piece, hand) for piece in (coarse, fine))
         assert len(first) == len(second)
-        keys = [np.round(np.c_[g.Ts_piece_tcp[:, :3].reshape(-1, 12), g.widths, g.contact], 5) + 0.0 for g in (first, second)]
-        sorted_keys = [key[np.lexsort(key.T)] for key in keys]
-        np.testing.assert_allclose(*sorted_keys, atol=2e-5)
+        trees = [KDTree(features(grasps)) for grasps in (first, second)]
+        for one, other in (trees, trees[::-1]):
+            assert one.query(other.data)[0].max() < 1e-6
+
+
+def features(grasps: GraspSet) -> Array:
+    """What tells grasps apart (n, 14); which finger is the first does not."""
+    Ts = np.array(grasps.Ts_piece_tcp)
+    swapped = Ts[:, :3, 0] @ (0.9, 0.37, 0.23) < 0
+    Ts[swapped] = Ts[swapped] @ np.diag((-1.0, -1.0, 1.0, 1.0))
+    return np.column_stack([Ts[:, :3].reshape(-1, 12), grasps.widths, grasps.contact])
 
 
 def test_the_set_is_frozen(hand: Hand) -> None:

@@ -107,7 +107,7 @@ def test_paper_mode_warns_of_a_state_that_falls(soma3: Assembly, qualities: Qual
     assert "smallL 0.087, Z 1.516" in warning
 
 
-def test_paper_mode_reports_what_the_frame_of_the_hexagon_does(soma3: Assembly, qualities: Qualities, paper: AssemblyPlan) -> None:
+def test_paper_mode_reports_what_the_frame_of_the_hexagon_does(paper: AssemblyPlan) -> None:
     assert TURNS == 12
     found = {(len(entry.state), entry.piece): entry for entry in paper.sensitivity}
     for k, name in enumerate(paper.order):
