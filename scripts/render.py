@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -87,18 +88,19 @@ def main() -> int:
     from soma_bullet.errors import SomaBulletError
 
     console = Console(stderr=True)
+    say = partial(console.print, markup=False, highlight=False, soft_wrap=True)
     columns = TextColumn("rendering"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn()
     try:
         with Progress(*columns, console=console, transient=True) as bar:
             task = bar.add_task("rendering", total=1.0)
             report = render(arguments, lambda fraction: bar.update(task, completed=fraction))
     except SomaBulletError as error:
-        console.print(str(error), style="red", markup=False, highlight=False)
+        say(str(error), style="red")
         return error.exit_status
     if report.reason:
-        console.print(f"rendered with {report.renderer}: {report.reason}", style="yellow", markup=False, highlight=False)
+        say(f"rendered with {report.renderer}: {report.reason}", style="yellow")
     frames = "1 picture" if report.frames == 1 else f"{report.frames} frames"
-    console.print(f"{report.path}: {frames}, {report.renderer}, {report.seconds:.1f} s", markup=False, highlight=False)
+    say(f"{report.path}: {frames}, {report.renderer}, {report.seconds:.1f} s")
     return 0
 
 

@@ -75,9 +75,9 @@ class RunArguments:
     seed: int = 0
     """Of everything random: feed, ties, planners. The same seed gives the same plan and the same episode."""
     out: Path | None = None
-    """Folder for plan.json, program.npz, log.npz, report.json, episode.mp4 and still.png [default: runs/<name of the assembly>]."""
+    """Folder for plan.json, program.npz, log.npz, report.json, the video and a still [default: runs/<name of the assembly>]."""
     stability: Literal["equilibrium", "paper"] = "equilibrium"
-    """equilibrium: the whole placed set at once; paper: one piece against fixed neighbours. Holds follow equilibrium in either."""
+    """equilibrium: the whole placed set at once; paper: one piece against fixed neighbours. Holds follow equilibrium anyway."""
     video: bool = True
     """--no-video saves the time."""
     plan_only: bool = False
@@ -103,10 +103,10 @@ def run_episode(arguments: list[str] | None = None) -> int:
     try:
         return _run(options)
     except SomaBulletError as error:
-        print(f"error: {error}", file=sys.stderr)
+        sys.stderr.write(f"error: {error}\n")
         return error.exit_status
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+        sys.stderr.write("interrupted\n")
         return 130
 
 
@@ -122,7 +122,7 @@ def _run(options: RunArguments) -> int:
     from soma_bullet.report.report import print_report
     from soma_bullet.sim.film import FilmOptions
     from soma_bullet.sim.judge import Tolerance
-    from soma_bullet.sim.world import Physics
+    from soma_bullet.sim.stage import Physics
     from soma_bullet.task.feed import FeedOptions
 
     console = Console(stderr=True)
@@ -135,7 +135,14 @@ def _run(options: RunArguments) -> int:
         seed=options.seed,
         planner=PlannerOptions(stability=options.stability),
         feed=FeedOptions(options.feed.layout, options.feed.noise_mm, options.feed.noise_deg),
-        physics=Physics(physics.substeps, physics.solver, physics.iterations, grip_force=physics.grip_force, friction=physics.friction, mass=physics.mass),
+        physics=Physics(
+            physics.substeps,
+            physics.solver,
+            physics.iterations,
+            grip_force=physics.grip_force,
+            friction=physics.friction,
+            mass=physics.mass,
+        ),
         tolerance=Tolerance(options.tolerance_mm, options.tolerance_deg),
         ablate="" if options.ablate == "none" else options.ablate,
         film=film if options.video else None,

@@ -28,7 +28,8 @@ from soma_bullet.robot.cell import Cell, load_cell
 from soma_bullet.sim.execute import Executor
 from soma_bullet.sim.judge import Tolerance, judge
 from soma_bullet.sim.log import ExecutionLog
-from soma_bullet.sim.world import Physics, World
+from soma_bullet.sim.stage import Physics
+from soma_bullet.sim.world import World
 from soma_bullet.task.feed import Feed, FeedOptions, draw_feed, misplace
 from soma_bullet.task.program import MOTIONS, SMALLEST_JUMP, Program, make_program, replan
 from soma_bullet.task.workcell import Workcell
@@ -184,7 +185,10 @@ def _resumed(
     plan = read_json(AssemblyPlan, plan_file) if plan_file.is_file() else None
     for found in (plan, program, log):
         if found is not None and found.digest != assembly.digest:
-            raise InputError(str(resume), f"was made for another assembly: digest {found.digest[:12]}, {assembly.name} has {assembly.digest[:12]}")
+            raise InputError(
+                str(resume),
+                f"was made for another assembly: digest {found.digest[:12]}, {assembly.name} has {assembly.digest[:12]}",
+            )
     for made in (program, log):
         if made is not None and made.cell != cell.name:
             raise InputError(str(resume), f"was made for the cell {made.cell!r}, not {cell.name!r}")
@@ -231,7 +235,8 @@ def execute(
                     break
             observation = executor.run(segment)
             if observation.outcome in ("jammed", "lost") and not options.ablate:
-                ended = f"{segment.piece} {observation.outcome} in {segment.kind} ({np.linalg.norm(observation.force):.1f} N, {observation.remaining * 1e3:.1f} mm left)"
+                force, left = np.linalg.norm(observation.force), observation.remaining * 1e3
+                ended = f"{segment.piece} {observation.outcome} in {segment.kind} ({force:.1f} N, {left:.1f} mm left)"
                 break
             if options.ablate == "hold" and segment.kind == "settle":
                 assignment = program.schedule.assignments[segment.step]

@@ -50,7 +50,13 @@ class EpisodeReport:
 def print_report(report: EpisodeReport, console: Console) -> None:
     """The table that a person reads at the end."""
     table = Table(title=f"{report.assembly}, seed {report.seed}: {' <- '.join(report.order)}", title_justify="left")
-    for heading, justify in (("piece", "left"), ("error [mm]", "right"), ("worst vertex [mm]", "right"), ("error [deg]", "right"), ("in place", "left")):
+    for heading, justify in (
+        ("piece", "left"),
+        ("error [mm]", "right"),
+        ("worst vertex [mm]", "right"),
+        ("error [deg]", "right"),
+        ("in place", "left"),
+    ):
         table.add_column(heading, justify=justify)  # type: ignore[arg-type]
     for piece in report.pieces:
         mark = "[green]yes[/]" if piece.in_place else "[red]no[/]"
@@ -59,11 +65,18 @@ def print_report(report: EpisodeReport, console: Console) -> None:
     judgement = report.judgement
     if judgement.slips:
         slip = max(judgement.slips, key=lambda s: s.slip_mm)
-        console.print(f"largest slip in a grasp   {slip.slip_mm:.2f} mm, {slip.slip_deg:.2f} deg ({slip.piece}, {slip.arm} hand)")
+        console.print(
+            f"largest slip in a grasp   {slip.slip_mm:.2f} mm, {slip.slip_deg:.2f} deg ({slip.piece}, {slip.arm} hand)"
+        )
     for hold in judgement.holds:
-        console.print(f"{hold.arm} held {hold.piece:<12} {hold.seconds:.1f} s, drift {hold.drift_mm:.2f} mm, grip at least {hold.grip_n:.0f} N")
+        console.print(
+            f"{hold.arm} held {hold.piece:<12} {hold.seconds:.1f} s, "
+            f"drift {hold.drift_mm:.2f} mm, grip at least {hold.grip_n:.0f} N"
+        )
     for insertion in judgement.insertions:
-        console.print(f"placing {insertion.piece:<12} peak {insertion.peak_n:.1f} N at the {insertion.arm} wrist, {insertion.outcome}")
+        console.print(
+            f"placing {insertion.piece:<12} peak {insertion.peak_n:.1f} N at the {insertion.arm} wrist, {insertion.outcome}"
+        )
     stages = "   ".join(f"{name} {seconds:.1f} s" for name, seconds in report.wall_s.items())
     console.print(f"wall time   {stages}")
     console.print(f"makespan    {report.makespan_s:.1f} s simulated")

@@ -72,8 +72,16 @@ class Executor:
             outcome = "lost"
         self.recorder.segments.append(
             SegmentRecord(
-                segment.kind, segment.step, world.cell.arms[segment.arm].name, segment.piece, start, world.time, outcome,
-                segment.offset, peak, remaining,
+                segment.kind,
+                segment.step,
+                world.cell.arms[segment.arm].name,
+                segment.piece,
+                start,
+                world.time,
+                outcome,
+                segment.offset,
+                peak,
+                remaining,
             )  # fmt: skip
         )
         return Observation(outcome, world.measured_joints(), world.openings(), readonly(force), remaining)
@@ -147,8 +155,16 @@ class Executor:
         self.wait(OPENING_TIME)
         self.recorder.segments.append(
             SegmentRecord(
-                "ablation", segment.step, self.world.cell.arms[segment.arm].name, segment.piece, start, self.world.time,
-                "as planned", readonly(np.zeros(3)), 0.0, 0.0,
+                "ablation",
+                segment.step,
+                self.world.cell.arms[segment.arm].name,
+                segment.piece,
+                start,
+                self.world.time,
+                "as planned",
+                readonly(np.zeros(3)),
+                0.0,
+                0.0,
             )  # fmt: skip
         )
 
@@ -198,4 +214,3 @@ class Executor:
             arm_names=tuple(arm.name for arm in cell.arms), piece_names=tuple(self.world.pieces), bodies=tuple(self.bodies),
             segments=tuple(self.recorder.segments), constraints=self.world.constraints(), ended=ended, **self.recorder.arrays(),
         )  # fmt: skip
-

@@ -116,12 +116,21 @@ def judge(log: ExecutionLog, assembly: Assembly, cell: Cell, tolerance: Toleranc
     """Judge one episode. Success: settled, every piece in place, nothing dropped, nothing forbidden touched, limits kept."""
     pieces = tuple(_piece(log, assembly, k, tolerance) for k in range(len(assembly.pieces)))
     forbidden = tuple(_forbidden(log, assembly, cell))
-    dropped = tuple(sorted({c.body_a if c.body_b == TABLE else c.body_b for c in forbidden if TABLE in (c.body_a, c.body_b)} & set(assembly.names)))
+    dropped = tuple(
+        sorted(
+            {c.body_a if c.body_b == TABLE else c.body_b for c in forbidden if TABLE in (c.body_a, c.body_b)}
+            & set(assembly.names)
+        )
+    )
     limits = _limits(log, cell)
     causes = [] if log.ended == "done" else [log.ended]
     causes += [f"{v.name} is {v.error_mm:.2f} mm and {v.error_deg:.2f} deg from its goal" for v in pieces if not v.in_place]
     causes += [f"{name} was dropped" for name in dropped]
-    causes += [f"{c.body_a} touched {c.body_b} at {c.first_s:.2f} s ({c.force_n:.1f} N)" for c in forbidden if not {c.body_a, c.body_b} & set(dropped)]
+    causes += [
+        f"{c.body_a} touched {c.body_b} at {c.first_s:.2f} s ({c.force_n:.1f} N)"
+        for c in forbidden
+        if not {c.body_a, c.body_b} & set(dropped)
+    ]
     if limits.speed > VELOCITY_EXCESS:
         causes.append(f"a joint moved at {limits.speed:.2f} of its speed limit")
     if limits.joint_deg < 0:
@@ -135,7 +144,9 @@ def judge(log: ExecutionLog, assembly: Assembly, cell: Cell, tolerance: Toleranc
         holds=tuple(_holds(log)),
         forbidden=forbidden,
         insertions=tuple(
-            InsertionForce(s.piece, s.arm, s.peak_force, s.outcome, s.remaining * 1e3) for s in log.segments if s.kind == "place"
+            InsertionForce(s.piece, s.arm, s.peak_force, s.outcome, s.remaining * 1e3)
+            for s in log.segments
+            if s.kind == "place"
         ),
         dropped=dropped,
         limits=limits,
@@ -225,7 +236,8 @@ def _forbidden(log: ExecutionLog, assembly: Assembly, cell: Cell) -> list[Forbid
                 continue
         found.setdefault((first, second), []).append((time, force))
     return [
-        ForbiddenContact(a, b, min(t for t, _ in hits), len(hits), max(f for _, f in hits)) for (a, b), hits in sorted(found.items())
+        ForbiddenContact(a, b, min(t for t, _ in hits), len(hits), max(f for _, f in hits))
+        for (a, b), hits in sorted(found.items())
     ]
 
 

@@ -17,7 +17,8 @@ class SegmentRecord:
     Attributes:
         kind, step, piece: of the program's segment; arm: its name.
         start, end: [s].
-        outcome: `as planned`, `stopped early` (by its guard), `jammed` (stopped early and far from its end) or `lost` (nothing between the fingers).
+        outcome: `as planned`, `stopped early` (by its guard), `jammed` (stopped early and far from its end) or `lost` (nothing
+            between the fingers).
         offset: straight travel of the hand that was commanded (3,) [m].
         peak_force: largest change of the wrist's force against its start [N].
         remaining: travel that was left when a guard stopped it [m].

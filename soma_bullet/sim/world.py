@@ -1,196 +1,37 @@
-"""The PyBullet world of one episode: everything is loaded and placed before the clock starts, and only forces move it afterwards.
-
-The only constraints couple the two fingers of a hand (JOINT_GEAR), as the gears of a parallel gripper do.
-"""
+"""The PyBullet world of one episode while its clock runs: commands in, measurements out."""
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from soma_bullet.assembly.model import Assembly
-from soma_bullet.frames import Array, inverse, to_quat_xyzw
+from soma_bullet.frames import Array
 from soma_bullet.frames import from_quat_xyzw as transform_of
 from soma_bullet.robot.cell import Cell
-from soma_bullet.robot.compose import compose_urdf
-from soma_bullet.sim.bodies import write_piece_urdf
 from soma_bullet.sim.quiet import pybullet as p
-from soma_bullet.sim.quiet import silenced
-from soma_bullet.task.program import DT
+from soma_bullet.sim.stage import Physics, Stage
 
-
-@dataclass(frozen=True)
-class Physics:
-    """How the world is simulated; the defaults are measured to hold pieces without slip.
-
-    Attributes:
-        substeps: time steps for each sample of a trajectory.
-        solver: `dantzig` solves the contacts of a step exactly; `pgs` iterates, and kicks a piece when a hand lets go of it.
-        iterations: of the iterative solver; with two arms and a gripped piece fewer do not converge.
-        gravity: [m/s2].
-        grip_force: [N]; None for the hand's own.
-        friction: factor on every friction coefficient.
-        mass: factor on every piece's mass.
-        record_every: samples of a trajectory between samples of the log.
-    """
-
-    substeps: int = 1
-    solver: Literal["dantzig", "pgs"] = "dantzig"
-    iterations: int = 300
-    gravity: float = 9.81
-    grip_force: float | None = None
-    friction: float = 1.0
-    mass: float = 1.0
-    record_every: int = 5
-
-    @property
-    def dt(self) -> float:
-        """Time step [s]."""
-        return DT / self.substeps
-
-
-GEAR_ERP = 0.2
-GEAR_FORCE = 1e4  # [N]
 CLOSING_SPEED, OPENING_SPEED = 0.05, 0.1  # [m/s]
-TABLE_FRICTION = 0.5
 
 
-class World:
-    """Robot, table, stand and pieces in physics.
-
-    Args:
-        cell, assembly: what is loaded.
-        stand: footprint of the stand [m].
-        poses: T_world_piece (4, 4) of each piece at the start.
-        home: joints (arms, 6) at the start.
-    """
+class World(Stage):
+    """A stage whose clock runs. It is told joint targets and hand commands, nothing else."""
 
     def __init__(
-        self, cell: Cell, assembly: Assembly, stand: tuple[float, float], poses: Mapping[str, Array], home: Array, physics: Physics
+        self,
+        cell: Cell,
+        assembly: Assembly,
+        stand: tuple[float, float],
+        poses: Mapping[str, Array],
+        home: Array,
+        physics: Physics,
     ):
-        self.cell, self.assembly, self.physics = cell, assembly, physics
-        self.client = p.connect(p.DIRECT)
-        with tempfile.TemporaryDirectory() as folder, silenced():
-            p.setGravity(0, 0, -physics.gravity, physicsClientId=self.client)
-            p.setPhysicsEngineParameter(
-                fixedTimeStep=physics.dt, numSolverIterations=physics.iterations, deterministicOverlappingPairs=1,
-                enableFileCaching=0, physicsClientId=self.client,
-                constraintSolverType=p.CONSTRAINT_SOLVER_LCP_DANTZIG if physics.solver == "dantzig" else p.CONSTRAINT_SOLVER_LCP_SI,
-            )  # fmt: skip
-            self._load_fixtures(stand)
-            self._load_robot(Path(folder), stand)
-            self._load_pieces(Path(folder), poses)
-        self._couple_fingers()
-        self._place_robot(home)
-        self.targets = np.array(home, float)
+        super().__init__(cell, assembly, stand, poses, home, physics)
         self.steps = 0
-
-    def close(self) -> None:
-        """Free the simulator."""
-        p.disconnect(physicsClientId=self.client)
-
-    # --- loading, before the clock starts ---------------------------------------------------------------------------------
-
-    def _load_robot(self, folder: Path, stand: tuple[float, float]) -> None:
-        urdf = compose_urdf(self.cell, stand, folder / "cell.urdf", visuals=False, fixtures=False)
-        flags = p.URDF_USE_INERTIA_FROM_FILE | p.URDF_USE_SELF_COLLISION
-        self.robot = p.loadURDF(str(urdf), useFixedBase=True, flags=flags, physicsClientId=self.client)
-        count = p.getNumJoints(self.robot, physicsClientId=self.client)
-        info = [p.getJointInfo(self.robot, k, physicsClientId=self.client) for k in range(count)]
-        self.joint_ids = {row[1].decode(): k for k, row in enumerate(info)}
-        self.link_ids = {row[12].decode(): k for k, row in enumerate(info)}
-        self.moving_joints = tuple(row[1].decode() for row in info if row[2] != p.JOINT_FIXED)
-        for pair in self.cell.never_checked:
-            (body_a, link_a), (body_b, link_b) = (self._body_of(name) for name in pair)
-            p.setCollisionFilterPair(body_a, body_b, link_a, link_b, 0, physicsClientId=self.client)
-        self.arm_joints = [[self.joint_ids[name] for name in arm.joint_names] for arm in self.cell.arms]
-        self.finger_joints = [[self.joint_ids[name] for name in arm.finger_joints] for arm in self.cell.arms]
-        self.finger_links = [[self.link_ids[name] for name in arm.finger_links] for arm in self.cell.arms]
-        self.tcp_links = [self.link_ids[arm.tcp_link] for arm in self.cell.arms]
-        mounts = [self.link_ids[arm.prefixed(arm.hand.mount_link)] for arm in self.cell.arms]
-        self.wrists = mounts  # a link's index is that of the joint above it
-        for wrist in mounts:
-            p.enableJointForceTorqueSensor(self.robot, wrist, 1, physicsClientId=self.client)
-        scale = np.sqrt(self.physics.friction)
-        for arm, links in zip(self.cell.arms, self.finger_links, strict=True):
-            for link in links:
-                self._rub(self.robot, link, np.sqrt(arm.hand.pad_friction) * scale, anchor=True)
-
-    def _body_of(self, name: str) -> tuple[int, int]:
-        """Body and link that a name of the cell stands for."""
-        return (self.fixtures[name], -1) if name in self.fixtures else (self.robot, self.link_ids[name])
-
-    def _load_fixtures(self, stand: tuple[float, float]) -> None:
-        """Table and stand as bodies of their own: contacts with them then do not couple pieces that lie apart."""
-        table, height = self.cell.table, self.cell.stand_height
-        boxes = {
-            "table": (table.size, (*table.centre, -table.size[2] / 2), TABLE_FRICTION),
-            "stand": (np.array((*stand, height)), (*self.cell.stand_centre, height / 2), self.assembly.support.friction),
-        }
-        self.fixtures: dict[str, int] = {}
-        for name, (size, centre, friction) in boxes.items():
-            shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=(size / 2).tolist(), physicsClientId=self.client)
-            self.fixtures[name] = p.createMultiBody(0, shape, basePosition=[float(v) for v in centre], physicsClientId=self.client)
-            self._rub(self.fixtures[name], -1, np.sqrt(friction * self.physics.friction))
-
-    def _rub(self, body: int, link: int, coefficient: float, anchor: bool = False) -> None:
-        """Set friction; Bullet multiplies the two bodies' coefficients, so each is the root of its own: the product is the geometric mean."""
-        p.changeDynamics(
-            body, link, lateralFriction=float(coefficient), spinningFriction=0.0, rollingFriction=0.0,
-            frictionAnchor=int(anchor), physicsClientId=self.client,
-        )  # fmt: skip
-
-    def _load_pieces(self, folder: Path, poses: Mapping[str, Array]) -> None:
-        self.pieces: dict[str, int] = {}
-        self.T_inertial_piece: dict[str, Array] = {}
-        for piece in self.assembly.pieces:
-            urdf = write_piece_urdf(piece, folder)
-            body = p.loadURDF(str(urdf), flags=p.URDF_USE_INERTIA_FROM_FILE, physicsClientId=self.client)
-            info = p.getDynamicsInfo(body, -1, physicsClientId=self.client)
-            T_piece_inertial = transform_of(info[3], info[4])
-            position, quat_xyzw = to_quat_xyzw(poses[piece.name] @ T_piece_inertial)
-            p.resetBasePositionAndOrientation(body, position, quat_xyzw, physicsClientId=self.client)
-            self._rub(body, -1, np.sqrt(piece.friction * self.physics.friction), anchor=True)
-            if self.physics.mass != 1.0:
-                inertia = [self.physics.mass * value for value in info[2]]
-                p.changeDynamics(
-                    body, -1, mass=info[0] * self.physics.mass, localInertiaDiagonal=inertia, physicsClientId=self.client
-                )
-            self.pieces[piece.name] = body
-            self.T_inertial_piece[piece.name] = inverse(T_piece_inertial)
-
-    def _couple_fingers(self) -> None:
-        for first, second in self.finger_joints:
-            gear = p.createConstraint(
-                self.robot, first, self.robot, second, jointType=p.JOINT_GEAR, jointAxis=[1, 0, 0],
-                parentFramePosition=[0, 0, 0], childFramePosition=[0, 0, 0], physicsClientId=self.client,
-            )  # fmt: skip
-            p.changeConstraint(gear, gearRatio=-1, erp=GEAR_ERP, maxForce=GEAR_FORCE, physicsClientId=self.client)
-
-    def _place_robot(self, home: Array) -> None:
-        for joints, q in zip(self.arm_joints, home, strict=True):
-            for joint, angle in zip(joints, q, strict=True):
-                p.resetJointState(self.robot, joint, float(angle), physicsClientId=self.client)
-        for arm in range(len(self.cell.arms)):
+        for arm in range(len(cell.arms)):
             self.open_hand(arm, 0.0)
-
-    def constraints(self) -> tuple[str, ...]:
-        """Every constraint that is in the world now."""
-        names = {index: name for name, index in self.joint_ids.items()}
-        kinds = {p.JOINT_GEAR: "gear", p.JOINT_FIXED: "fixed", p.JOINT_POINT2POINT: "point", p.JOINT_PRISMATIC: "prismatic"}
-        found = []
-        for k in range(p.getNumConstraints(physicsClientId=self.client)):
-            unique = p.getConstraintUniqueId(k, physicsClientId=self.client)
-            row = p.getConstraintInfo(unique, physicsClientId=self.client)
-            body_a, joint_a, body_b, joint_b, kind = row[:5]
-            ours = body_a == body_b == self.robot
-            found.append(f"{kinds.get(kind, kind)}: {names.get(joint_a, joint_a) if ours else body_a} - {names.get(joint_b, joint_b) if ours else body_b}")
-        return tuple(found)
 
     # --- commands ----------------------------------------------------------------------------------------------------------
 
@@ -251,7 +92,7 @@ class World:
         """Force and torque (6,) at the wrist, in the hand's mount frame [N, N m]."""
         return np.array(p.getJointState(self.robot, self.wrists[arm], physicsClientId=self.client)[2])
 
-    # --- what only the log may know --------------------------------------------------------------------------------------------
+    # --- what only the log may know ------------------------------------------------------------------------------------------
 
     def piece_poses(self) -> dict[str, Array]:
         """T_world_piece (4, 4) of every piece."""
@@ -272,12 +113,10 @@ class World:
         return np.array([state[0] for state in p.getJointStates(self.robot, ids, physicsClientId=self.client)])
 
     def contacts(self) -> list[tuple[tuple[int, int], tuple[int, int], float, float]]:
-        """Touching links as ((body, link), (body, link), normal force [N], distance [m]), each pair once with its forces added."""
+        """Touching links as ((body, link), (body, link), normal force [N], distance [m]); the forces of a pair are added."""
         found: dict[tuple[tuple[int, int], tuple[int, int]], tuple[float, float]] = {}
         for row in p.getContactPoints(physicsClientId=self.client):
             key = tuple(sorted(((row[1], row[3]), (row[2], row[4]))))
             force, distance = found.get(key, (0.0, np.inf))  # type: ignore[arg-type]
             found[key] = (force + row[9], min(distance, row[8]))  # type: ignore[index]
         return [(a, b, force, distance) for (a, b), (force, distance) in found.items()]
-
-

@@ -87,7 +87,9 @@ def preferred_resting_pose(assembly: Assembly, plan: AssemblyPlan, hand: Hand, n
     poses = resting_poses(assembly.pieces[assembly.index(name)])
     counts = [len(serving_grasps(assembly, plan, hand, name, pose)) for pose in poses]
     if not len(poses) or max(counts) == 0:
-        raise NoSolutionError("schedule", f"{name}: none of its {len(poses)} resting poses has a grasp that also serves at the goal")
+        raise NoSolutionError(
+            "schedule", f"{name}: none of its {len(poses)} resting poses has a grasp that also serves at the goal"
+        )
     return poses[int(np.argmax(counts))]
 
 
@@ -122,8 +124,6 @@ def draw_feed(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int, opt
         outlines.append(outline)
         poses.append(pose)
     return Feed(assembly.names, readonly(np.array(poses)), overlaps, 0, seed)
-
-
 
 
 def _rows(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int) -> Feed:

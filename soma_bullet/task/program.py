@@ -49,7 +49,7 @@ class Segment:
     """One thing that one arm does while the other stands still.
 
     Attributes:
-        kind: what it is; `transit`, `transfer` and `home` are planned around obstacles, `grasp`, `settle` and `release` are waits.
+        kind: what it is; `transit`, `transfer`, `home` go around obstacles; `grasp`, `settle`, `release` are waits.
         step: of the plan; arm: index; piece: what it is about.
         path: joints every DT (n, 6) [rad]; empty for waits.
         offset: straight travel of the hand (3,) [m] for lines, else zero.
@@ -191,7 +191,9 @@ class _Builder:
         yield self._line(a, "lift", lifting, a.q_pick, up * LIFT), _Context(poses, moved(a.q_lifted, a.width))
         carrying = _Context(poses, moved(a.q_lifted, a.width), carried, meant)
         yield self._transit(a, "transfer", carrying, a.q_ready, a.width), _Context(poses, moved(a.q_ready, a.width))
-        first = self._line(a, "insert", _Context(poses, moved(a.q_ready, a.width), carried, meant), a.q_ready, a.direction * (a.length - PLACE))
+        first = self._line(
+            a, "insert", _Context(poses, moved(a.q_ready, a.width), carried, meant), a.q_ready, a.direction * (a.length - PLACE)
+        )
         q_near = first.path[-1]
         yield first, _Context(poses, moved(q_near, a.width))
         placed = {**poses, piece: cell.settled[piece]}
@@ -206,7 +208,9 @@ class _Builder:
             hands = hands.with_arm(release.arm, hands.qs[release.arm], opening)
             yield self._wait(a, "release", release.arm, release.piece, OPENING_TIME, opening), _Context(placed, hands)
             away = -cell.robot.tcp(release.arm, hands.qs[release.arm])[:3, 2]
-            retreat = self._line(a, "retreat", _Context(placed, hands), hands.qs[release.arm], away * APPROACH, release.arm, release.piece)
+            retreat = self._line(
+                a, "retreat", _Context(placed, hands), hands.qs[release.arm], away * APPROACH, release.arm, release.piece
+            )
             hands = hands.with_arm(release.arm, retreat.path[-1]).gripping(release.arm, None)
             yield retreat, _Context(placed, hands)
         for release in a.releases:
@@ -220,7 +224,14 @@ class _Builder:
         return self.workcell.scene(context.poses, context.hands, arm, context.carried, context.touching)
 
     def _transit(
-        self, a: Assignment, kind: Kind, context: _Context, goal: Array, opening: float, arm: int | None = None, piece: str | None = None
+        self,
+        a: Assignment,
+        kind: Kind,
+        context: _Context,
+        goal: Array,
+        opening: float,
+        arm: int | None = None,
+        piece: str | None = None,
     ) -> Segment:
         """A motion around obstacles; the hand opens or closes on the way and counts as the wider of the two."""
         arm, piece = a.arm if arm is None else arm, a.piece if piece is None else piece
@@ -228,7 +239,14 @@ class _Builder:
         wide = max(opening, float(context.hands.openings[arm]))
         try:
             path = plan_motion(
-                self.workcell, self._scene(context, arm), context.hands, arm, context.hands.qs[arm], goal, wide, self.seed + 1000 * self.count
+                self.workcell,
+                self._scene(context, arm),
+                context.hands,
+                arm,
+                context.hands.qs[arm],
+                goal,
+                wide,
+                self.seed + 1000 * self.count,
             )
         except TransferError as error:
             raise MotionError(a, f"{piece}: {kind}: {self._blame(error, context, arm, wide)}") from None
@@ -245,7 +263,14 @@ class _Builder:
         return f"{error.cause} in collision" + (f": {pair[0]} meets {pair[1]}" if pair else "")
 
     def _line(
-        self, a: Assignment, kind: Kind, context: _Context, q_start: Array, offset: Array, arm: int | None = None, piece: str | None = None
+        self,
+        a: Assignment,
+        kind: Kind,
+        context: _Context,
+        q_start: Array,
+        offset: Array,
+        arm: int | None = None,
+        piece: str | None = None,
     ) -> Segment:
         arm, piece = a.arm if arm is None else arm, a.piece if piece is None else piece
         try:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from soma_bullet.errors import NoSolutionError
-from soma_bullet.frames import Array, apply, inverse, readonly
+from soma_bullet.frames import Array, Mask, apply, inverse, readonly
 from soma_bullet.grasp.clearance import MARGIN, OPENING, SUPPORT_MARGIN, hand_hulls, sweep_hand
 from soma_bullet.motion.line import LineError, line_back
 from soma_bullet.planner.assist import HoldCertificate, certify_hold
@@ -96,7 +96,7 @@ class Schedule:
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Where the search stands: what is placed, what the hands do, and by which grasp (step, grasp index) a held piece is held."""
+    """Where the search stands: what is placed, and what the hands do."""
 
     placed: dict[str, Array]
     hands: Hands
@@ -203,7 +203,7 @@ class Scheduler:
         for turn in itertools.zip_longest(*usable):
             yield from (c for c in turn if c is not None)
 
-    def _clear_at_feed(self, k: int, poses: Array, widths: Array) -> Array:
+    def _clear_at_feed(self, k: int, poses: Array, widths: Array) -> Mask:
         step = self.plan.steps[k]
         sweep = sweep_hand(self.hand, self.feed.pose(step.piece) @ poses, widths)
         clear = sweep.above(0.0) > SUPPORT_MARGIN
@@ -212,7 +212,7 @@ class Scheduler:
             clear &= sweep.separation([part.moved(self.feed.pose(later.piece)) for part in parts]) > MARGIN
         return clear
 
-    def _clear_of_holders(self, k: int, state: _State, poses: Array, widths: Array) -> Array:
+    def _clear_of_holders(self, k: int, state: _State, poses: Array, widths: Array) -> Mask:
         """Whether the hand, swept along the insertion, keeps clear of placed pieces and of the hands that hold."""
         step = self.plan.steps[k]
         goal = self.workcell.goals[step.piece]
@@ -311,7 +311,7 @@ class Scheduler:
     # --- lines of one candidate with the other arm left out: made once ---------------------------------------------------
 
     def _lines(self, k: int, candidate: _Candidate) -> _Lines:
-        """All branches' lines that are free of table, stand, pieces and the arm itself; lists are empty where there are none."""
+        """All branches' lines that are free of table, stand, pieces and the arm itself; empty where there are none."""
         key = (k, candidate.arm, candidate.grasp)
         if key not in self._made:
             insertions = self._make_insertions(k, candidate)
@@ -321,7 +321,9 @@ class Scheduler:
     def _settled_before(self, k: int) -> dict[str, Array]:
         return {s.piece: self.workcell.settled[s.piece] for s in self.plan.steps[:k]}
 
-    def _insertion_scene(self, k: int, placed: dict[str, Array], hands: Hands, candidate: _Candidate, alone: bool = False) -> Scene:
+    def _insertion_scene(
+        self, k: int, placed: dict[str, Array], hands: Hands, candidate: _Candidate, alone: bool = False
+    ) -> Scene:
         step, cell = self.plan.steps[k], self.workcell
         remaining = {s.piece: self.feed.pose(s.piece) for s in self.plan.steps[k + 1 :]}
         meant = frozenset(p for p in cell.touching if step.piece in p)
@@ -386,7 +388,16 @@ class Scheduler:
         return picks
 
     def _trace(
-        self, step: PlanStep, name: str, candidate: _Candidate, q: Array, T: Array, away: tuple[Array, float], scene: Scene, hands: Hands, width: float
+        self,
+        step: PlanStep,
+        name: str,
+        candidate: _Candidate,
+        q: Array,
+        T: Array,
+        away: tuple[Array, float],
+        scene: Scene,
+        hands: Hands,
+        width: float,
     ) -> Array | None:
         try:
             return line_back(
@@ -411,9 +422,7 @@ class Scheduler:
             return None
         indices = frozenset(cell.assembly.index(name) for name in placed)
         letting_go = sorted(set(grip) - keep, key=lambda name: name == step.piece)  # the inserter last, if it may
-        order = next(
-            (o for o in (letting_go, letting_go[::-1]) if self._stable_all_along(indices, set(grip), o)), None
-        )
+        order = next((o for o in (letting_go, letting_go[::-1]) if self._stable_all_along(indices, set(grip), o)), None)
         if order is None:
             self._reject(step, "letting go would let the state fall in any order")
             return None
@@ -457,7 +466,14 @@ class Scheduler:
         return line[-1]
 
     def _reject_line(
-        self, step: PlanStep, line: str, error: LineError, scene: Scene, hands: Hands, candidate: _Candidate | None, width: float = 0.0
+        self,
+        step: PlanStep,
+        line: str,
+        error: LineError,
+        scene: Scene,
+        hands: Hands,
+        candidate: _Candidate | None,
+        width: float = 0.0,
     ) -> None:
         if error.cause != "collision" or error.q is None or candidate is None:
             self._reject(step, f"{line}: {error.cause}")

@@ -37,9 +37,7 @@ def assembly_frame(assembly: Assembly, cell: Cell) -> Array:
     """T_world_assembly (4, 4): the middle of the footprint on the middle of the stand's top, axes parallel to the world's."""
     low, high = footprint(assembly)
     middle = (low + high) / 2
-    return make_transform(
-        translation=(*(cell.stand_centre - middle), cell.stand_height - assembly.support.height)
-    )
+    return make_transform(translation=(*(cell.stand_centre - middle), cell.stand_height - assembly.support.height))
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +115,7 @@ class Workcell:
         touching: frozenset[frozenset[str]] = frozenset(),
         alone: bool = False,
     ) -> Scene:
-        """A scene in which one arm moves, possibly carrying (piece, T_tcp_piece), and the others stand still or (`alone`) are left out."""
+        """A scene in which one arm moves, maybe carrying (piece, T_tcp_piece); the others stand still or (`alone`) are left out."""
         still = {name: pose for name, pose in poses.items() if carried is None or name != carried[0]}
         held = {} if carried is None else {carried[0]: (arm, carried[1])}
         absent = frozenset(k for k in range(len(self.cell.arms)) if alone and k != arm)
