@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 PALM = np.array((0.060, 0.040, 0.070))
 FINGER = np.array((0.008, 0.014, 0.080))
 PAD = 0.014  # side of the square pad at the finger's end
+RECESS = 0.0025  # of the finger behind the pad: only the pads touch what the hand grips
 PAD_DEPTH = 0.0015
 TRAVEL = 0.0425  # of one finger
 TCP_Z = PALM[2] + FINGER[2] - PAD / 2
@@ -83,11 +84,10 @@ def meshes() -> dict[str, trimesh.Trimesh]:
             return chamfered((x[0], *low[1:]), (x[1], *high[1:]), chamfer)
 
         body = [
-            mirrored((0.0025, -tall, foot), (FINGER[0], tall, PAD / 2), 0.001),
-            mirrored((0.0, -tall, foot), (FINGER[0], tall, foot + 0.016), 0.001),
+            mirrored((RECESS, -tall, foot), (FINGER[0], tall, PAD / 2), 0.001),
         ]
         parts[f"finger_{side}"] = trimesh.util.concatenate(body)
-        parts[f"pad_{side}"] = mirrored((0.0, -PAD / 2, -PAD / 2), (0.0025 + PAD_DEPTH, PAD / 2, PAD / 2), 0.0004)
+        parts[f"pad_{side}"] = mirrored((0.0, -PAD / 2, -PAD / 2), (RECESS + PAD_DEPTH, PAD / 2, PAD / 2), 0.0004)
         # The two carriages pass each other side by side: left keeps to +y, right to -y.
         rod = chamfered((-0.020, 0.001, foot - 0.0085), (FINGER[0], tall, foot), 0.0008)
         parts[f"carriage_{side}"] = rod if sign > 0 else rod.apply_transform(np.diag((-1.0, -1.0, 1.0, 1.0)))
@@ -115,13 +115,13 @@ def xyz(vector: tuple[float, ...] | np.ndarray) -> str:
     return " ".join(f"{float(v) + 0.0:.6g}" for v in vector)
 
 
-def link(name: str, inertia: str, visuals: dict[str, str], box: tuple[np.ndarray, tuple[float, ...]] | None) -> str:
-    """A link that shows `visuals` (mesh -> colour) and collides as one box (size, centre)."""
+def link(name: str, inertia: str, visuals: dict[str, str], boxes: list[tuple[np.ndarray, tuple[float, ...]]]) -> str:
+    """A link that shows `visuals` (mesh -> colour) and collides as boxes (size, centre)."""
     text = f'  <link name="{name}">\n{inertia}'
     for mesh, colour in visuals.items():
         text += (f'    <visual>\n      <geometry><mesh filename="meshes/{mesh}.obj"/></geometry>\n'
                  f'      <material name="{colour}"/>\n    </visual>\n')
-    if box is not None:
+    for box in boxes:
         text += (f'    <collision>\n      <origin xyz="{xyz(box[1])}"/>\n'
                  f'      <geometry><box size="{xyz(box[0])}"/></geometry>\n    </collision>\n')
     return text + "  </link>\n"
@@ -139,20 +139,23 @@ def urdf_text() -> str:
     text = '<?xml version="1.0"?>\n<!-- Written by scripts/generate_hand.py: change it there. -->\n<robot name="slim_hand">\n'
     for name, rgb in COLOURS.items():
         text += f'  <material name="{name}"><color rgba="{xyz(rgb)} 1"/></material>\n'
-    text += link("mount", tiny, {}, None)
+    text += link("mount", tiny, {}, [])
     shown = {"coupling": "metal", "collar": "dark", "palm": "shell", "stripe": "accent", "rail": "dark"}
     centre = (0.0, 0.0, PALM[2] / 2)
-    text += link("palm", inertial(PALM_MASS, PALM, centre), shown, (PALM, centre))
+    text += link("palm", inertial(PALM_MASS, PALM, centre), shown, [(PALM, centre)])
     text += fixed("palm_joint", "mount", "palm", (0.0, 0.0, 0.0))
     for side, sign in (("left", 1.0), ("right", -1.0)):
         centre = (sign * FINGER[0] / 2, 0.0, PAD / 2 - FINGER[2] / 2)
         shown = {f"finger_{side}": "metal", f"pad_{side}": "rubber", f"carriage_{side}": "dark"}
-        text += link(f"finger_{side}", inertial(FINGER_MASS, FINGER, centre), shown, (FINGER, centre))
+        body = np.array((FINGER[0] - RECESS, *FINGER[1:])), (sign * (FINGER[0] + RECESS) / 2, *centre[1:])
+        depth = RECESS + PAD_DEPTH
+        pad = np.array((depth, PAD, PAD)), (sign * depth / 2, 0.0, 0.0)
+        text += link(f"finger_{side}", inertial(FINGER_MASS, FINGER, centre), shown, [body, pad])
         text += (f'  <joint name="finger_{side}_joint" type="prismatic">\n    <parent link="palm"/>\n'
                  f'    <child link="finger_{side}"/>\n    <origin xyz="{xyz((0, 0, TCP_Z))}"/>\n'
                  f'    <axis xyz="{sign:g} 0 0"/>\n'
                  f'    <limit lower="0" upper="{TRAVEL:g}" effort="{EFFORT:g}" velocity="{VELOCITY:g}"/>\n  </joint>\n')
-    text += link("tcp", tiny, {}, None)
+    text += link("tcp", tiny, {}, [])
     return text + fixed("tcp_joint", "palm", "tcp", (0.0, 0.0, TCP_Z)) + "</robot>\n"
 
 

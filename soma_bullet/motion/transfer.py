@@ -36,15 +36,17 @@ class TransferOptions:
     Attributes:
         checks: collision checks after which the search gives up.
         seed: of the planner and of the shortcuts.
+        step: largest joint step between checked states of an edge [rad].
     """
 
     checks: int = 40_000
     seed: int = 0
+    step: float = EDGE_STEP
 
 
-def edge_free(start: Array, end: Array, collides: Check) -> bool:
+def edge_free(start: Array, end: Array, collides: Check, step: float = EDGE_STEP) -> bool:
     """Whether the straight joint edge between two configurations (6,) is free; its start is taken as checked."""
-    count = max(1, int(np.ceil(np.abs(end - start).max() / EDGE_STEP)))
+    count = max(1, int(np.ceil(np.abs(end - start).max() / step)))
     # far halves first: a blocked edge is found sooner
     order = sorted(range(1, count + 1), key=lambda k: (k & -k), reverse=True)
     return not any(collides(start + (end - start) * (k / count)) for k in order)
@@ -68,10 +70,10 @@ def plan_transfer(
     if not free:
         raise TransferError("goal", goals[0] if len(goals) else None)
     for goal in sorted(free, key=lambda g: float(np.abs(g - start).max())):
-        if edge_free(start, goal, collides):
+        if edge_free(start, goal, collides, options.step):
             return np.array([start, goal])
     path = _rrt_connect(start, np.array(free), lower, upper, collides, options)
-    return _shortcut(path, collides, np.random.default_rng(options.seed))
+    return _shortcut(path, collides, np.random.default_rng(options.seed), options.step)
 
 
 def _rrt_connect(start: Array, goals: Array, lower: Array, upper: Array, collides: Check, options: TransferOptions) -> Array:
@@ -103,7 +105,7 @@ def _rrt_connect(start: Array, goals: Array, lower: Array, upper: Array, collide
             super().__init__(si)
 
         def checkMotion(self, a: object, b: object, last: object = None) -> bool:  # noqa: N802 (OMPL's name)
-            return edge_free(np.array(a[0:n]), np.array(b[0:n]), counted)  # type: ignore[index]
+            return edge_free(np.array(a[0:n]), np.array(b[0:n]), counted, options.step)  # type: ignore[index]
 
     setup.setStateValidityChecker(lambda state: not counted(np.array(state[0:n])))
     information.setMotionValidator(Edges(information))
@@ -125,7 +127,7 @@ def _rrt_connect(start: Array, goals: Array, lower: Array, upper: Array, collide
     return np.array([np.array(s[0:n]) for s in setup.getSolutionPath().getStates()])
 
 
-def _shortcut(path: Array, collides: Check, rng: np.random.Generator) -> Array:
+def _shortcut(path: Array, collides: Check, rng: np.random.Generator, step: float) -> Array:
     """Replace random stretches by straight edges where those are free."""
     points = list(path)
     for _ in range(SHORTCUTS):
@@ -139,18 +141,18 @@ def _shortcut(path: Array, collides: Check, rng: np.random.Generator) -> Array:
             continue
         a = points[i] + (points[i + 1] - points[i]) * (first - lengths[i]) / (lengths[i + 1] - lengths[i])
         b = points[j] + (points[j + 1] - points[j]) * (second - lengths[j]) / (lengths[j + 1] - lengths[j])
-        if edge_free(a, b, collides):
+        if edge_free(a, b, collides, step):
             points = [*points[: i + 1], a, b, *points[j + 1 :]]
-    return _without_crumbs(np.array(points), collides)
+    return _without_crumbs(np.array(points), collides, step)
 
 
-def _without_crumbs(path: Array, collides: Check) -> Array:
+def _without_crumbs(path: Array, collides: Check, step: float) -> Array:
     """The path without close inner waypoints that a free edge can skip: they would make tight corners."""
     points = list(_without_repeats(path))
     k = 1
     while k < len(points) - 1:
         short = min(np.abs(points[k] - points[k - 1]).max(), np.abs(points[k + 1] - points[k]).max()) < 2 * BLEND
-        if short and edge_free(points[k - 1], points[k + 1], collides):
+        if short and edge_free(points[k - 1], points[k + 1], collides, step):
             del points[k]
         else:
             k += 1

@@ -375,11 +375,12 @@ class Sight:
             infos = [p.getJointInfo(self._robot, i, physicsClientId=self.client) for i in range(count)]
             self._joints = {info[1].decode(): info[0] for info in infos}
             self._pieces = {}
-            for k, piece in enumerate(pieces):
-                file = Path(folder) / f"{os.getpid()}_{self.client}_{k}.obj"  # PyBullet caches files by name
-                file.write_text(look.flat_obj(piece.vertices, piece.faces))
+            for piece in pieces:
+                handle, file = tempfile.mkstemp(suffix=".obj", dir=folder)  # PyBullet caches by name: never the same
+                os.close(handle)
+                Path(file).write_text(look.flat_obj(piece.vertices, piece.faces))
                 shape = p.createCollisionShape(
-                    p.GEOM_MESH, fileName=str(file), flags=p.GEOM_FORCE_CONCAVE_TRIMESH, physicsClientId=self.client
+                    p.GEOM_MESH, fileName=file, flags=p.GEOM_FORCE_CONCAVE_TRIMESH, physicsClientId=self.client
                 )
                 self._pieces[piece.name] = p.createMultiBody(0, shape, physicsClientId=self.client)
 

@@ -11,6 +11,7 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from multiprocessing import get_context
+from multiprocessing.util import Finalize
 from pathlib import Path
 
 import numpy as np
@@ -114,7 +115,9 @@ _OPENED: list[tuple[Stage, Studio | InputError]] = []  # of this process: a pool
 
 def _open(stage: Stage) -> None:
     try:
-        _OPENED.append((stage, stage.open()))
+        studio = stage.open()
+        Finalize(None, studio.close, exitpriority=1)  # OpenGL says good-bye on standard output, if it is not silenced
+        _OPENED.append((stage, studio))
     except InputError as error:  # raised here it would only break the pool
         _OPENED.append((stage, error))
 
@@ -128,6 +131,8 @@ def _shoot(shot: Shot) -> tuple[Frame, str, str]:
 
 def write_video(path: Path, frames: Iterable[Frame], fps: float = 25.0, quality: int = 20) -> Path:
     """Writes frames (h, w, 3), of even size, as H.264 that every player takes; the file appears when it is whole.
+
+    The same frames give the same bytes where both sides are multiples of 16; elsewhere x264's padding varies.
 
     Args:
         quality: x264's crf, lower is better.

@@ -66,8 +66,8 @@ def made_log(cell: Cell, assembly: Assembly, episode: tuple[Row, ...] = EPISODE)
     arms, empty = len(cell.arms), np.zeros(0)
     return ExecutionLog(
         cell=cell.name, assembly=assembly.name, digest=assembly.digest, seed=7, order=("Z", "BigL", "smallL"),
-        stand=(0.03, 0.03), T_world_assembly=T_world_assembly, joint_names=tuple(joints), arm_names=tuple(arm.name for arm in cell.arms),
-        piece_names=assembly.names, times=times, joints=np.tile(list(joints.values()), (len(times), 1)), targets=empty,
+        stand=(0.03, 0.03), T_world_assembly=T_world_assembly, joint_names=tuple(joints),
+        arm_names=tuple(arm.name for arm in cell.arms), piece_names=assembly.names, times=times, joints=np.tile(list(joints.values()), (len(times), 1)), targets=empty,
         poses=poses, tcps=np.tile(tcp[:arms], (len(times), 1, 1)), wrenches=empty, grips=empty, contacts=empty, bodies=(),
         segments=tuple(segments), constraints=(), ended="done",
     )  # fmt: skip
@@ -122,8 +122,7 @@ def test_words_of_an_episode(log: ExecutionLog) -> None:
 
 def test_failures_and_ablations_are_said(cell: Cell, assembly: Assembly) -> None:
     episode = (*EPISODE[:6], ("place", 0, "right", "Z", 1.0, "jammed"), ("ablation", 0, "right", "Z", 0.5, ""), *EPISODE[8:])
-    lines = narration(made_log(cell, assembly, episode), 0.0)
-    words = [line for _, line, _ in lines]
+    words = [line for _, line, _ in narration(made_log(cell, assembly, episode), 1.0)]
     assert "right: Z jams" in words and "ablation: right lets go of Z" in words
     lost = made_log(cell, assembly, (*EPISODE[:2], ("grasp", 0, "right", "Z", 0.5, "lost"), *EPISODE[-1:]))
     assert "right: Z is not between the fingers" in [line for _, line, _ in narration(lost, 0.0)]
@@ -272,25 +271,28 @@ def test_a_log_of_another_assembly_is_refused(log: ExecutionLog, cell: Cell, tmp
 
 
 @pytest.mark.slow
-def test_a_small_film_has_all_its_frames(log: ExecutionLog, assembly: Assembly, cell: Cell, tmp_path: Path) -> None:
+def test_a_small_film_has_all_its_frames(
+    log: ExecutionLog, assembly: Assembly, cell: Cell, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     import av
 
     done: list[float] = []
     path = tmp_path / "film.mp4"
-    report = film(log, assembly, cell, path, TINY, done.append, "in place")
+    report = film(log, assembly, cell, path, replace(TINY, jobs=2), done.append, "in place")
     expected = len(frame_times(log, TINY))
     with av.open(str(path)) as container:
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]
     assert len(frames) == expected == report.frames and frames[0].shape == (90, 160, 3)
     assert done == sorted(done) and done[-1] == 1.0 and len(done) == expected
     assert report.renderer in ("egl", "tiny") and (report.renderer == "egl" or report.reason)
+    assert capfd.readouterr() == ("", "")
     assert [file.name for file in tmp_path.iterdir()] == ["film.mp4"]
 
 
 @pytest.mark.slow
 def test_the_same_bytes_for_any_number_of_processes(log: ExecutionLog, assembly: Assembly, cell: Cell, tmp_path: Path) -> None:
     for jobs in (1, 2, 3):
-        film(log, assembly, cell, tmp_path / f"{jobs}.mp4", replace(TINY, jobs=jobs, fps=6.0))
+        film(log, assembly, cell, tmp_path / f"{jobs}.mp4", replace(TINY, size=(160, 96), jobs=jobs, fps=6.0))
     first, *others = [(tmp_path / f"{jobs}.mp4").read_bytes() for jobs in (1, 2, 3)]
     assert all(other == first for other in others)
 

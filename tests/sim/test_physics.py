@@ -1,0 +1,284 @@
+"""The world's physics against the textbook: friction, grip, masses, and that nothing but fingers holds a piece."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from soma_bullet.assembly.file import load_assembly
+from soma_bullet.assembly.model import Assembly
+from soma_bullet.assembly.workpiece import Workpiece
+from soma_bullet.frames import Array, apply, from_quat_xyzw, inverse, make_transform, rotation_about, rotation_angle
+from soma_bullet.robot.cell import Cell, load_cell
+from soma_bullet.robot.kinematics import Robot
+from soma_bullet.sim.quiet import pybullet as p
+from soma_bullet.sim.stage import Physics
+from soma_bullet.sim.world import World
+from tests.blocks import SIDE, assembly, box, cells
+
+STAND = (0.03, 0.03)
+GRAVITY = 9.81  # [m/s2]
+YAWS = (0.0, 30.0, 45.0, 90.0)  # [deg] of blocks against the slope
+SLIDES = np.rad2deg(np.arctan(0.5))  # 26.57 deg: the steepest slope that friction 0.5 can hold
+GRIP = 20.0  # [N]
+
+
+@pytest.fixture(scope="module")
+def cell() -> Cell:
+    return load_cell("ur5e_pair")
+
+
+@pytest.fixture(scope="module")
+def robot(cell: Cell) -> Robot:
+    return Robot(cell, STAND)
+
+
+def home(cell: Cell) -> Array:
+    return np.array([arm.q_home for arm in cell.arms])
+
+
+@contextmanager
+def running(
+    cell: Cell, whole: Assembly, poses: dict[str, Array], physics: Physics | None = None, opening: float = 0.0, q: Array | None = None
+) -> Iterator[World]:
+    """A world whose left hand stands open from the start."""
+    qs = home(cell)
+    qs[0] = qs[0] if q is None else q
+    world = World(cell, whole, STAND, poses, qs, physics or Physics())
+    try:
+        for joint in world.finger_joints[0]:
+            p.resetJointState(world.robot, joint, opening / 2, physicsClientId=world.client)
+        world.open_hand(0, opening)
+        yield world
+    finally:
+        world.close()
+
+
+def run(world: World, seconds: float) -> None:
+    for _ in range(round(seconds / world.physics.dt)):
+        world.step()
+
+
+def grip(world: World, force: float = GRIP) -> None:
+    """Close the left hand as the executor does: gently, then harder and harder."""
+    world.squeeze(0, 5.0)
+    run(world, 0.25)
+    for part in np.linspace(5.0, force, 72):
+        world.squeeze(0, part)
+        world.step()
+
+
+# --- friction on a slope -----------------------------------------------------------------------------------------------
+
+
+def slides(cell: Cell, physics: Physics, slope_deg: float, azimuth_deg: float) -> Array:
+    """How far blocks at YAWS get [mm] in half a second after gravity has tilted as if the table were a slope."""
+    blocks = [cells([(0, 0, 0), (1, 0, 0)], f"block{k}") for k in range(len(YAWS))]
+    bottom = blocks[0].vertices[:, 2].min() + blocks[0].clearance
+    poses = {
+        block.name: make_transform(rotation_about((0, 0, 1), np.deg2rad(yaw)), (0.1 * k - 0.2, 0.25, -bottom))
+        for k, (block, yaw) in enumerate(zip(blocks, YAWS, strict=True))
+    }
+    with running(cell, assembly(blocks, [(float(k), 0, 0) for k in range(len(blocks))]), poses, physics) as world:
+        run(world, 0.05)
+        slope, azimuth = np.deg2rad([slope_deg, azimuth_deg])
+        down = np.array([np.sin(slope) * np.cos(azimuth), np.sin(slope) * np.sin(azimuth), -np.cos(slope)])
+        p.setGravity(*(GRAVITY * down).tolist(), physicsClientId=world.client)
+        start = world.piece_poses()
+        run(world, 0.5)
+        end = world.piece_poses()
+    return np.array([np.linalg.norm(end[b.name][:3, 3] - start[b.name][:3, 3]) for b in blocks]) * 1e3
+
+
+@pytest.mark.parametrize("azimuth", [0.0, 90.0])
+@pytest.mark.parametrize("solver", ["dantzig", "pgs"])
+def test_a_block_stays_at_25_deg_and_slides_at_28(cell: Cell, solver: str, azimuth: float) -> None:
+    physics = Physics(solver=solver)  # type: ignore[arg-type]
+    slope = np.deg2rad(28.0)
+    free_run = GRAVITY * (np.sin(slope) - 0.5 * np.cos(slope)) * 0.5**2 / 2 * 1e3  # [mm] by Coulomb's law
+    assert slides(cell, physics, 25.0, azimuth).max() < 0.15
+    np.testing.assert_allclose(slides(cell, physics, 28.0, azimuth), free_run, rtol=0.03)
+
+
+@pytest.mark.parametrize("azimuth", [22.5, 45.0, 70.0])
+@pytest.mark.parametrize("solver", ["dantzig", "pgs"])
+def test_friction_across_the_axes_is_a_pyramid(cell: Cell, solver: str, azimuth: float) -> None:
+    """A block at rest stays wherever friction 0.5 holds it, and never where 0.5 * sqrt(2) would not.
+
+    In between the solvers differ. Bullet's friction at rest acts along two axes of the world, each with its own bound: down a
+    diagonal dantzig holds a block up to about 35 deg, where a cone would let go at 26.57. pgs lets go at 26 to 27 deg.
+    """
+    physics = Physics(solver=solver)  # type: ignore[arg-type]
+    assert slides(cell, physics, 25.0, azimuth).max() < 0.2
+    assert slides(cell, physics, np.rad2deg(np.arctan(0.5 * np.sqrt(2))) + 1.5, azimuth).min() > 10.0
+    if solver == "pgs":
+        assert slides(cell, physics, SLIDES + 1.5, azimuth).min() > 10.0
+
+
+@pytest.mark.parametrize(("factor", "slope", "stays"), [(0.5, 13.0, True), (0.5, 16.0, False), (2.0, 43.0, True), (2.0, 47.0, False)])
+def test_the_factor_on_friction_is_the_factor_on_friction(cell: Cell, factor: float, slope: float, stays: bool) -> None:
+    """tan 14.0 deg = 0.25, tan 45 deg = 1."""
+    assert (slides(cell, Physics(friction=factor), slope, 0.0).max() < 0.2) == stays
+
+
+def test_friction_is_the_geometric_mean_of_two_bodies(cell: Cell) -> None:
+    wood = [cells([(0, 0, 0)], "half"), box((SIDE,) * 3, "slippery", friction=0.125)]
+    poses = {piece.name: make_transform(translation=(0.1 * k, 0.25, SIDE)) for k, piece in enumerate(wood)}
+    with running(cell, assembly(wood, [(0, 0, 0), (1, 0, 0)]), poses) as world:
+        found = {name: p.getDynamicsInfo(body, -1, physicsClientId=world.client)[1] for name, body in world.pieces.items()}
+        table = p.getDynamicsInfo(world.fixtures["table"], -1, physicsClientId=world.client)[1]
+        pads = [p.getDynamicsInfo(world.robot, link, physicsClientId=world.client)[1] for link in world.finger_links[0]]
+    assert found["half"] * table == pytest.approx(0.5)
+    assert found["slippery"] * table == pytest.approx(np.sqrt(0.125 * 0.5))
+    assert [found["half"] * pad for pad in pads] == pytest.approx([np.sqrt(0.5 * cell.arms[0].hand.pad_friction)] * 2)
+
+
+# --- a grip is friction ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("solver", ["dantzig", "pgs"])
+@pytest.mark.parametrize("along", ["down", "out of the hand", "across the hand"])
+def test_a_gripped_piece_slips_when_pulled_with_twice_mu_f(cell: Cell, robot: Robot, solver: str, along: str) -> None:
+    block = box((SIDE, SIDE, 3 * SIDE), "block")
+    T = robot.tcp(0, cell.arms[0].q_home)
+    pull = {"down": np.array([0.0, 0.0, -1.0]), "out of the hand": T[:3, 2], "across the hand": T[:3, 1]}[along]
+    mu = np.sqrt(cell.arms[0].hand.pad_friction * block.friction)
+    physics = Physics(solver=solver, grip_force=GRIP)  # type: ignore[arg-type]
+    with running(cell, assembly([block], [(0, 0, 0)]), {"block": T}, physics, SIDE + 2e-3) as world:
+        p.setGravity(0, 0, 0, physicsClientId=world.client)  # in the hand by hand: it must not fall before the pads close
+        grip(world)
+        p.setGravity(0, 0, -GRAVITY, physicsClientId=world.client)
+        run(world, 0.1)
+        start = inverse(world.tcp_poses()[0]) @ world.piece_poses()["block"]
+        for force in np.arange(0.0, 3 * mu * GRIP, 0.05):
+            place = world.piece_poses()["block"][:3, 3].tolist()
+            body = world.pieces["block"]
+            p.applyExternalForce(body, -1, (pull * force).tolist(), place, p.WORLD_FRAME, physicsClientId=world.client)
+            world.step()
+            now = inverse(world.tcp_poses()[0]) @ world.piece_poses()["block"]
+            if np.linalg.norm(now[:3, 3] - start[:3, 3]) > 5e-4:
+                break
+    needed = np.linalg.norm(pull * force - (0.0, 0.0, GRAVITY * block.mass))
+    assert needed == pytest.approx(2 * mu * GRIP, rel=0.10)
+
+
+def test_a_gripped_piece_that_is_not_pulled_stays(cell: Cell, robot: Robot) -> None:
+    block = box((SIDE, SIDE, 3 * SIDE), "block")
+    T = robot.tcp(0, cell.arms[0].q_home)
+    with running(cell, assembly([block], [(0, 0, 0)]), {"block": T}, Physics(grip_force=GRIP), SIDE + 2e-3) as world:
+        p.setGravity(0, 0, 0, physicsClientId=world.client)
+        grip(world)
+        p.setGravity(0, 0, -GRAVITY, physicsClientId=world.client)
+        start = world.piece_poses()["block"]
+        run(world, 2.0)
+        end = world.piece_poses()["block"]
+    assert np.linalg.norm(end[:3, 3] - start[:3, 3]) < 2e-5
+    assert np.rad2deg(rotation_angle(start[:3, :3], end[:3, :3])) < 0.02
+
+
+def test_the_only_constraints_are_the_gears_of_the_fingers(cell: Cell, robot: Robot) -> None:
+    block = box((SIDE,) * 3, "block")
+    expected = [f"gear: {first} - {second}" for first, second in (arm.finger_joints for arm in cell.arms)]
+    with running(cell, assembly([block], [(0, 0, 0)]), {"block": robot.tcp(0, cell.arms[0].q_home)}, opening=SIDE) as world:
+        assert sorted(world.constraints()) == sorted(expected)
+        grip(world)
+        assert sorted(world.constraints()) == sorted(expected)
+
+
+def test_a_piece_released_gently_stays(cell: Cell, robot: Robot) -> None:
+    """Gripped and let go where it stands: less than 0.1 mm, though the hand need not be centred on it."""
+    block = box((SIDE, SIDE, 3 * SIDE), "block")
+    stands = make_transform(translation=(-0.1, 0.25, 1.5 * SIDE - block.clearance))
+    down = np.diag([1.0, -1.0, -1.0])
+    (q, *_) = robot.inverse(0, make_transform(down, (-0.1, 0.25, 2 * SIDE)), cell.arms[0].q_home)
+    with running(cell, assembly([block], [(0, 0, 0)]), {"block": stands}, opening=SIDE + 5e-3, q=q) as world:
+        run(world, 0.1)
+        start = world.piece_poses()["block"]
+        grip(world)
+        for force in np.linspace(GRIP, 0.5, 72):
+            world.squeeze(0, force)
+            world.step()
+        world.open_hand(0, SIDE + 8e-3, 0.01)
+        run(world, 0.05)
+        world.open_hand(0, SIDE + 8e-3)
+        run(world, 1.0)
+        end, touching = world.piece_poses()["block"], world.contacts()
+    assert np.linalg.norm(end[:3, 3] - start[:3, 3]) < 1e-4
+    assert np.rad2deg(rotation_angle(start[:3, :3], end[:3, :3])) < 0.1
+    assert not [row for row in touching if (world.pieces["block"], -1) in row[:2] and world.robot in (row[0][0], row[1][0])]
+
+
+# --- masses, determinism -----------------------------------------------------------------------------------------------
+
+
+def skewed() -> Workpiece:
+    """A body whose inertia has all products: an L in three dimensions."""
+    return cells([(0, 0, 0), (1, 0, 0), (2, 0, 0), (2, 1, 0), (2, 1, 1)], "skewed")
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.7])
+def test_masses_and_inertia_are_the_workpieces(cell: Cell, factor: float) -> None:
+    pieces = [*load_assembly("soma3").pieces, skewed(), box((0.02, 0.03, 0.05), "heavy", density=7800.0)]
+    assert any(np.abs(piece.inertia[np.triu_indices(3, 1)]).min() > 1e-8 for piece in pieces)
+    poses = {piece.name: make_transform(rotation_about((0, 0, 1), 0.4), (0.1 * k, 0.25, 0.3)) for k, piece in enumerate(pieces)}
+    whole = assembly(pieces, [(float(k), 0, 0) for k in range(len(pieces))])
+    with running(cell, whole, poses, Physics(mass=factor)) as world:
+        placed = world.piece_poses()
+        for piece in pieces:
+            info = p.getDynamicsInfo(world.pieces[piece.name], -1, physicsClientId=world.client)
+            axes = np.array(p.getMatrixFromQuaternion(info[4])).reshape(3, 3)
+            assert info[0] == pytest.approx(factor * piece.mass)
+            np.testing.assert_allclose(info[3], piece.center_of_mass, atol=1e-9)
+            inertia = axes @ np.diag(info[2]) @ axes.T
+            np.testing.assert_allclose(inertia, factor * piece.inertia, atol=1e-6 * np.abs(piece.inertia).max())
+            np.testing.assert_allclose(placed[piece.name], poses[piece.name], atol=1e-7)
+
+
+def test_collision_shapes_are_the_real_body(cell: Cell) -> None:
+    """The boxes of each piece in Bullet span the nominal mesh less the clearance."""
+    whole = load_assembly("soma3")
+    poses = {piece.name: make_transform(translation=(0.1 * k, 0.25, 0.3)) for k, piece in enumerate(whole.pieces)}
+    unit = np.array(np.meshgrid([-0.5, 0.5], [-0.5, 0.5], [-0.5, 0.5])).reshape(3, 8).T
+    with running(cell, whole, poses) as world:
+        for piece in whole.pieces:
+            body = world.pieces[piece.name]
+            T_piece_inertial = inverse(world.T_inertial_piece[piece.name])
+            corners = []
+            for shape in p.getCollisionShapeData(body, -1, physicsClientId=world.client):
+                assert shape[2] == p.GEOM_BOX
+                T_piece_shape = T_piece_inertial @ from_quat_xyzw(shape[5], shape[6])
+                corners.append(apply(T_piece_shape, unit * shape[3]))
+            found = np.vstack(corners)
+            np.testing.assert_allclose(found.min(axis=0), piece.vertices.min(axis=0) + piece.clearance, atol=1e-7)
+            np.testing.assert_allclose(found.max(axis=0), piece.vertices.max(axis=0) - piece.clearance, atol=1e-7)
+
+
+def test_a_piece_rests_where_its_real_body_touches(cell: Cell) -> None:
+    block = box((SIDE,) * 3, "block", clearance=5e-4)
+    poses = {"block": make_transform(translation=(0.0, 0.25, SIDE / 2))}
+    with running(cell, assembly([block], [(0, 0, 0)]), poses) as world:
+        run(world, 0.5)
+        height = world.piece_poses()["block"][2, 3]
+    assert height == pytest.approx(SIDE / 2 - 5e-4, abs=2e-5)  # Bullet lets resting bodies overlap by about 0.01 mm
+
+
+@pytest.mark.parametrize("solver", ["dantzig", "pgs"])
+def test_the_same_commands_twice_give_the_same_bits(cell: Cell, robot: Robot, solver: str) -> None:
+    block = box((SIDE, SIDE, 3 * SIDE), "block")
+    T = robot.tcp(0, cell.arms[0].q_home)
+
+    def episode() -> list[bytes]:
+        found = []
+        physics = Physics(solver=solver)  # type: ignore[arg-type]
+        with running(cell, assembly([block], [(0, 0, 0)]), {"block": T}, physics, SIDE + 2e-3) as world:
+            world.squeeze(0, GRIP)
+            for k in range(200):
+                world.command_arm(0, cell.arms[0].q_home + 1e-3 * np.sin(0.05 * k))
+                world.step()
+                found.append(world.piece_poses()["block"].tobytes() + world.all_joints().tobytes() + world.wrench(0).tobytes())
+        return found
+
+    assert episode() == episode()
