@@ -160,7 +160,7 @@ def _run(options: RunArguments) -> int:
     print_report(report, console)
     if report.video["note"] and options.video:
         console.print(f"[yellow]video[/]: {report.video['note']}")
-    console.print(f"written to {out}/")
+    console.print(f"written to {out}/", markup=False)
     return 0 if report.success else 1
 
 
@@ -211,4 +211,4 @@ def _print_plan(out: Path, console: object) -> None:
     console.print(table)
     for warning in plan.warnings:
         console.print(f"[yellow]warning[/]: {warning}")
-    console.print(f"written to {out}/plan.json")
+    console.print(f"written to {out}/plan.json", markup=False)

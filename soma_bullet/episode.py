@@ -5,6 +5,7 @@ An episode can be resumed at every arrow, from `plan.json`, `program.npz` or `lo
 
 from __future__ import annotations
 
+import os
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -106,6 +107,7 @@ def run_episode(
     options = options or EpisodeOptions()
     if options.ablate not in ("", "hold"):
         raise InputError("--ablate", f"{options.ablate!r} is not known; `hold` is")
+    _check_folder(out)
     clock = _Clock()
     with clock.stage("load"):
         progress("loading", 0.0)
@@ -157,6 +159,17 @@ def run_episode(
     return report
 
 
+def _check_folder(out: Path | None) -> None:
+    """Refuse a folder that cannot be written before any work is done."""
+    if out is None:
+        return
+    there = next(path for path in (out.absolute(), *out.absolute().parents) if path.exists())
+    if not there.is_dir():
+        raise InputError("--out", f"{out} cannot be a folder: {there} is a file")
+    if not os.access(there, os.W_OK):
+        raise InputError("--out", f"{out} cannot be written: no permission in {there}")
+
+
 def _load_cell(options: EpisodeOptions) -> Cell:
     cell = load_cell(options.cell)
     if options.hand is None:
@@ -192,6 +205,12 @@ def _resumed(
     for made in (program, log):
         if made is not None and made.cell != cell.name:
             raise InputError(str(resume), f"was made for the cell {made.cell!r}, not {cell.name!r}")
+    hand = cell.arms[0].hand.name
+    if plan is not None and plan.hand != hand:
+        raise InputError(str(resume), f"was made for the hand {plan.hand!r}, not {hand!r}")
+    if plan is not None and program is not None and plan.order != program.order:
+        orders = " <- ".join(program.order), " <- ".join(plan.order)
+        raise InputError(str(resume), f"was made for another plan than the one beside it: {orders[0]}, not {orders[1]}")
     return plan, program, log
 
 

@@ -135,7 +135,8 @@ class Studio:
             size: width and height of the pictures, even.
             renderer: `auto` takes EGL where it works; `egl` insists on it; `tiny` needs nothing.
             supersampling: pictures that are averaged for one, the camera and the lamp each time moved a little, which gives
-                smooth edges and soft shadows: 3 looks good, 24 perfect; 1 is the fastest, and smooths edges afterwards.
+                smooth edges and soft shadows: 3 looks good, 24 perfect; 1 is the fastest, and smooths edges afterwards. A sixth
+                of them where the software renderer, which is slow, had to stand in.
 
         Raises:
             InputError: the size or the renderer is unknown, or `egl` was insisted on in vain.
@@ -146,7 +147,6 @@ class Studio:
             raise InputError("size", f"{size}: width and height must be even, for the video, and at least 16")
         self._p = pybullet
         self.size = size
-        self._jitters = _jitters(supersampling)
         self._tiles = [(slice(top, bottom), slice(left, right)) for top, bottom in _cuts(size[1], _LARGEST[1])
                        for left, right in _cuts(size[0], _LARGEST[0])]  # fmt: skip
         self._files = tempfile.TemporaryDirectory(prefix="soma_bullet_studio_")
@@ -154,6 +154,8 @@ class Studio:
         with silenced():
             self.client = pybullet.connect(pybullet.DIRECT)
             self.renderer, self.reason = self._start_renderer(renderer)
+            stands_in = self.renderer == "tiny" != renderer
+            self._jitters = _jitters(-(-supersampling // 6) if stands_in else supersampling)
             self._build(Path(urdf), pieces)
             if self.renderer == "egl":
                 for _ in range(3):  # the OpenGL plugin draws shadows from its third picture on

@@ -29,7 +29,7 @@ class Caption:
     text: str
     subtitle: str = ""
     note: str = ""
-    rgb: look.Colour = look.ARROW
+    rgb: look.Colour = look.NEUTRAL
 
 
 @dataclass(frozen=True)

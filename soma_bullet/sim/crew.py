@@ -132,7 +132,7 @@ def _shoot(shot: Shot) -> tuple[Frame, str, str]:
 def write_video(path: Path, frames: Iterable[Frame], fps: float = 25.0, quality: int = 20) -> Path:
     """Writes frames (h, w, 3), of even size, as H.264 that every player takes; the file appears when it is whole.
 
-    The same frames give the same bytes where both sides are multiples of 16; elsewhere x264's padding varies.
+    The same frames give the same bytes.
 
     Args:
         quality: x264's crf, lower is better.
@@ -153,8 +153,8 @@ def write_video(path: Path, frames: Iterable[Frame], fps: float = 25.0, quality:
                     stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1000))
                     stream.height, stream.width = picture.shape[:2]
                     stream.pix_fmt = "yuv420p"
-                    # a fixed number of threads: the bytes depend on it
-                    stream.options = {"crf": str(quality), "preset": "medium", "threads": "2"}
+                    # the bytes depend on the threads, and x264's B frames on memory that it never wrote
+                    stream.options = {"crf": str(quality), "preset": "medium", "threads": "2", "bf": "0"}
                 container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")))
             if stream is not None:
                 container.mux(stream.encode())

@@ -58,9 +58,9 @@ class Executor:
         """Run one segment to its end or to its guard."""
         world, start = self.world, self.world.time
         if segment.kind == "grasp":
-            self._grip(segment.arm)
+            self._grip(segment.arm, segment.piece)
         elif segment.kind == "release":
-            self._let_go(segment.arm, segment.opening)
+            self._let_go(segment.arm, segment.piece, segment.opening)
         elif not np.isnan(segment.opening):
             world.open_hand(segment.arm, segment.opening)
         outcome, remaining, peak, force = "as planned", 0.0, 0.0, np.zeros(3)
@@ -86,19 +86,24 @@ class Executor:
         )
         return Observation(outcome, world.measured_joints(), world.openings(), readonly(force), remaining)
 
-    def _grip(self, arm: int) -> None:
-        """Close gently, then squeeze harder and harder."""
+    def _grip(self, arm: int, piece: str) -> None:
+        """Close gently, then squeeze harder and harder; the contacts are anchored once the pads lie flat."""
         force = self.world.grip_force(arm)
+        self.world.anchor(arm, piece, False)
         self.world.squeeze(arm, min(force, TOUCH_FORCE))
         self.wait(CLOSING / 2)
         self._ramp(arm, min(force, TOUCH_FORCE), force)
+        self.world.anchor(arm, piece, True)
 
-    def _let_go(self, arm: int, opening: float) -> None:
-        """Ease the grip before the pads leave: a piece that is let go while squeezed hard gets a kick."""
+    def _let_go(self, arm: int, piece: str, opening: float) -> None:
+        """Renew the contacts and ease the grip before the pads leave: stale ones would kick the piece."""
+        self.world.anchor(arm, piece, False)
         self._ramp(arm, self.world.grip_force(arm), EASED_FORCE)
         self.world.open_hand(arm, opening, EASED_SPEED)
         self.wait(EASED_TIME)
         self.world.open_hand(arm, opening)
+        self.wait(EASED_TIME)
+        self.world.anchor(arm, piece, True)
 
     def _ramp(self, arm: int, start: float, end: float) -> None:
         steps = max(1, round(RAMP / DT))
@@ -151,7 +156,7 @@ class Executor:
     def let_go(self, segment: Segment, opening: float) -> None:
         """Open a hand where it is: what an ablation does to a hold."""
         start = self.world.time
-        self._let_go(segment.arm, opening)
+        self._let_go(segment.arm, segment.piece, opening)
         self.wait(OPENING_TIME)
         self.recorder.segments.append(
             SegmentRecord(

@@ -193,7 +193,7 @@ def _captions(log: ExecutionLog, assembly: Assembly, clock: Array, options: Film
         held = ", ".join(f"{arm} holds {name}" for arm, name in holds(log, time_))
         step = f"piece {log.order.index(piece) + 1} of {len(log.order)}" if piece in log.order else f"{len(log.order)} pieces"
         note = f"{log.assembly}    seed {log.seed}    {min(time_, last):.1f} s    {options.speed:g}×"
-        rgb = assembly.pieces[assembly.index(piece)].color if piece in assembly.names else look.ARROW
+        rgb = assembly.pieces[assembly.index(piece)].color if piece in assembly.names else look.NEUTRAL
         found.append(Caption(words, f"{step}  –  {held}" if held else step, note, rgb))
     return found
 
@@ -206,7 +206,7 @@ def _stage(log: ExecutionLog, assembly: Assembly, cell: Cell, folder: Path, opti
 
 
 def _visuals(assembly: Assembly) -> tuple[PieceVisual, ...]:
-    return tuple(PieceVisual(piece.name, piece.vertices, piece.faces, piece.color) for piece in assembly.pieces)
+    return tuple(PieceVisual(p.name, p.vertices, np.asarray(p.faces, np.int64), p.color) for p in assembly.pieces)
 
 
 def _check(log: ExecutionLog, assembly: Assembly) -> None:

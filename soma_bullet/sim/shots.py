@@ -19,7 +19,9 @@ from soma_bullet.sim.caption import Phase, holds, phases
 from soma_bullet.sim.log import ExecutionLog
 
 YAWS, PITCHES = tuple(range(-75, 76, 15)), (-14.0, -21.0, -28.0, -36.0, -46.0)  # [deg]
-FRAME = ((-0.80, 0.80), (-0.66, 0.82))  # of the picture, right and up: what matters stays inside; the caption is below
+Frame = tuple[tuple[float, float], tuple[float, float]]
+FRAME: Frame = ((-0.80, 0.80), (-0.66, 0.82))  # of the picture, right and up: what matters stays inside; the caption is below
+PORTRAIT: Frame = ((-0.97, 0.97), (-0.97, 0.93))  # the same for a picture without words
 NEAREST = {"pick": 0.95, "insert": 0.46, "end": 0.44}  # [m]
 LIKED = {"pick": (30.0, -27.0), "insert": (35.0, -22.0), "end": (32.0, -18.0)}  # [deg] yaw to either side, and pitch; of equals
 ZOOM_RATE = 0.9  # change of the distance's logarithm a second
@@ -54,12 +56,14 @@ class View:
     direction: Array
 
 
-def framed(points: Array, yaw: float, pitch: float, nearest: float, aspect: float, fov: float = 42.0) -> Camera:
-    """The nearest camera of these angles that has all points (n, 3) within FRAME, and not nearer than `nearest` [m]."""
+def framed(
+    points: Array, yaw: float, pitch: float, nearest: float, aspect: float, fov: float = 42.0, frame: Frame = FRAME
+) -> Camera:
+    """The nearest camera of these angles that has all points (n, 3) within the frame, and not nearer than `nearest` [m]."""
     axes = Camera((0.0, 0.0, 0.0), 1.0, yaw, pitch, fov).axes
     local = points @ axes
     half = np.tan(np.deg2rad(fov) / 2) * np.array((aspect, 1.0))
-    low, high = np.array(FRAME).T * half
+    low, high = np.array(frame).T * half
 
     def slack(distance: float) -> tuple[Array, Array]:
         depth = (distance - local[:, 2:]).clip(1e-3)  # of the points before a camera this far from the origin's plane
@@ -266,7 +270,7 @@ def portrait(log: ExecutionLog, assembly: Assembly, sight: Sight, aspect: float)
     end = float(log.times[-1])
     _place(sight, log, end)
     surface = np.concatenate([_surface(log, assembly, end, name) for name in assembly.names])
-    cameras = [framed(sight.robot(), yaw, -17.0, 1.0, aspect, 24.0) for yaw in (-60, -45, -30, -15, 15, 30, 45, 60)]
+    cameras = [framed(sight.robot(), yaw, -15.0, 1.0, aspect, 24.0, PORTRAIT) for yaw in (-60, -45, -30, -15, 15, 30, 45, 60)]
     away = np.abs(np.abs([camera.yaw for camera in cameras]) - 30.0)
     return cameras[int((_seen(sight, cameras, surface) - 0.002 * away).argmax())]
 

@@ -59,6 +59,15 @@ class World(Stage):
                 physicsClientId=self.client,
             )  # fmt: skip
 
+    def anchor(self, arm: int, piece: str, on: bool) -> None:
+        """Whether the contacts between a hand's pads and a piece are friction anchors, which keep them from creeping.
+
+        Bullet keeps an anchored contact as it is, its normal in world axes included: once the hand has turned it is stale. That
+        does no harm while the hand squeezes, but the piece would be dragged along when it opens.
+        """
+        for body, link in [(self.robot, link) for link in self.finger_links[arm]] + [(self.pieces[piece], -1)]:
+            p.changeDynamics(body, link, frictionAnchor=int(on), physicsClientId=self.client)
+
     def step(self) -> None:
         """One time step with the current commands."""
         for arm, joints in zip(self.cell.arms, self.arm_joints, strict=True):

@@ -41,7 +41,7 @@ SPEEDS = {
     "retreat": HandLimits(0.15, 0.3),
 }  # [m/s], [m/s2]
 MOTIONS = ("transit", "approach", "lift", "transfer", "insert", "place", "retreat", "home")
-EDGE_STEPS = (0.02, 0.004)  # [rad] between checked states of an edge, the second where the first was too coarse
+EDGE_STEPS = (0.02, 0.004, 0.004, 0.004, 0.004)  # [rad] between checked states of an edge, one for each attempt
 SMALLEST_JUMP = 1e-4  # [rad] a segment that starts farther from the measured joints is made anew
 
 
@@ -291,16 +291,16 @@ def plan_motion(
     """Timed joints (n, 6) around obstacles. Raises TransferError, TimingError."""
     limits = workcell.robot.arm(arm)
     collides = lambda q: scene.collides(workcell.configuration(hands, arm, q, width))  # noqa: E731
-    for step in EDGE_STEPS:
-        options = TransferOptions(seed=seed, step=step)
+    for attempt, step in enumerate(EDGE_STEPS):
+        options = TransferOptions(seed=seed + 7919 * attempt, step=step)
         waypoints = plan_transfer(start, np.array([goal]), limits.lower, limits.upper, collides, options)
         samples = time_path(blend_corners(waypoints, collides), limits.velocity, limits.acceleration, DT)
         try:
             _check(samples, collides)
         except TimingError:
-            if step == EDGE_STEPS[-1]:
+            if attempt + 1 == len(EDGE_STEPS):
                 raise
-            continue  # it grazes something between two checked states: look more closely
+            continue  # it grazes something between two checked states: look more closely, and elsewhere
         break
     return samples
 

@@ -40,22 +40,27 @@ def test_every_hand_loads(path: Path) -> None:
 
 def test_boxes_are_those_of_the_description() -> None:
     hand = load_hand(FOLDER / "hand.toml")
-    (palm,), (left,), (right,) = hand.palm_boxes, hand.left_boxes, hand.right_boxes
+    (palm,), (left, left_pad), (right, right_pad) = hand.palm_boxes, hand.left_boxes, hand.right_boxes
     np.testing.assert_allclose(hand.T_mount_tcp[:3, 3], (0, 0, 0.143), atol=1e-12)
     np.testing.assert_allclose(palm.half, (0.030, 0.020, 0.035))
     np.testing.assert_allclose(palm.T[:3, 3], (0, 0, -0.108), atol=1e-12)
-    np.testing.assert_allclose(left.half, (0.004, 0.007, 0.040))
-    np.testing.assert_allclose(left.T[:3, 3], (0.004, 0, -0.033), atol=1e-12)
-    np.testing.assert_allclose(right.T[:3, 3], (-0.004, 0, -0.033), atol=1e-12)
+    np.testing.assert_allclose(left.half, (0.00275, 0.007, 0.040))
+    np.testing.assert_allclose(left.T[:3, 3], (0.00525, 0, -0.033), atol=1e-12)
+    np.testing.assert_allclose(right.T[:3, 3], (-0.00525, 0, -0.033), atol=1e-12)
+    for pad, sign in ((left_pad, 1.0), (right_pad, -1.0)):  # the pads alone reach the plane in which they meet
+        np.testing.assert_allclose(2 * pad.half[1:], hand.pad_size)
+        np.testing.assert_allclose(pad.T[:3, 3], (sign * pad.half[0], 0, 0), atol=1e-12)
     assert hand.opening == pytest.approx(0.085)
     np.testing.assert_allclose(hand.pad_size, (0.014, 0.014))
 
 
 def test_fingers_open_outwards() -> None:
     hand = load_hand(FOLDER / "hand.toml")
-    _, left, right = hand.boxes(0.020)
-    assert left.T[0, 3] - left.half[0] == pytest.approx(0.010)
-    assert right.T[0, 3] + right.half[0] == pytest.approx(-0.010)
+    _, left, left_pad, right, right_pad = hand.boxes(0.020)
+    assert left_pad.T[0, 3] - left_pad.half[0] == pytest.approx(0.010)
+    assert right_pad.T[0, 3] + right_pad.half[0] == pytest.approx(-0.010)
+    assert left.T[0, 3] - left.half[0] > 0.010
+    assert right.T[0, 3] + right.half[0] < -0.010
 
 
 def test_arrays_cannot_be_changed() -> None:

@@ -67,8 +67,9 @@ def made_log(cell: Cell, assembly: Assembly, episode: tuple[Row, ...] = EPISODE)
     return ExecutionLog(
         cell=cell.name, assembly=assembly.name, digest=assembly.digest, seed=7, order=("Z", "BigL", "smallL"),
         stand=(0.03, 0.03), T_world_assembly=T_world_assembly, joint_names=tuple(joints),
-        arm_names=tuple(arm.name for arm in cell.arms), piece_names=assembly.names, times=times, joints=np.tile(list(joints.values()), (len(times), 1)), targets=empty,
-        poses=poses, tcps=np.tile(tcp[:arms], (len(times), 1, 1)), wrenches=empty, grips=empty, contacts=empty, bodies=(),
+        arm_names=tuple(arm.name for arm in cell.arms), piece_names=assembly.names, times=times,
+        joints=np.tile(list(joints.values()), (len(times), 1)), targets=empty, poses=poses,
+        tcps=np.tile(tcp[:arms], (len(times), 1, 1)), wrenches=empty, grips=empty, contacts=empty, bodies=(),
         segments=tuple(segments), constraints=(), ended="done",
     )  # fmt: skip
 
@@ -125,7 +126,7 @@ def test_failures_and_ablations_are_said(cell: Cell, assembly: Assembly) -> None
     words = [line for _, line, _ in narration(made_log(cell, assembly, episode), 1.0)]
     assert "right: Z jams" in words and "ablation: right lets go of Z" in words
     lost = made_log(cell, assembly, (*EPISODE[:2], ("grasp", 0, "right", "Z", 0.5, "lost"), *EPISODE[-1:]))
-    assert "right: Z is not between the fingers" in [line for _, line, _ in narration(lost, 0.0)]
+    assert "right: Z is not between the fingers" in [line for _, line, _ in narration(lost, 1.0)]
 
 
 def test_words_stay_long_enough_to_be_read(log: ExecutionLog) -> None:
@@ -292,7 +293,7 @@ def test_a_small_film_has_all_its_frames(
 @pytest.mark.slow
 def test_the_same_bytes_for_any_number_of_processes(log: ExecutionLog, assembly: Assembly, cell: Cell, tmp_path: Path) -> None:
     for jobs in (1, 2, 3):
-        film(log, assembly, cell, tmp_path / f"{jobs}.mp4", replace(TINY, size=(160, 96), jobs=jobs, fps=6.0))
+        film(log, assembly, cell, tmp_path / f"{jobs}.mp4", replace(TINY, jobs=jobs, fps=6.0))
     first, *others = [(tmp_path / f"{jobs}.mp4").read_bytes() for jobs in (1, 2, 3)]
     assert all(other == first for other in others)
 

@@ -122,7 +122,9 @@ def test_a_turn_about_a_far_axis_counts_as_displacement_too(good: ExecutionLog, 
     assert found.error_deg == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize(("shift_mm", "turn_deg", "good_enough"), [(1.9, 0, True), (2.1, 0, False), (0, 1.9, True), (0, 2.1, False)])
+@pytest.mark.parametrize(
+    ("shift_mm", "turn_deg", "good_enough"), [(1.9, 0, True), (2.1, 0, False), (0, 1.9, True), (0, 2.1, False)]
+)
 def test_the_tolerance_is_sharp(
     good: ExecutionLog, assembly: Assembly, cell: Cell, shift_mm: float, turn_deg: float, good_enough: bool
 ) -> None:

@@ -42,7 +42,12 @@ def home(cell: Cell) -> Array:
 
 @contextmanager
 def running(
-    cell: Cell, whole: Assembly, poses: dict[str, Array], physics: Physics | None = None, opening: float = 0.0, q: Array | None = None
+    cell: Cell,
+    whole: Assembly,
+    poses: dict[str, Array],
+    physics: Physics | None = None,
+    opening: float = 0.0,
+    q: Array | None = None,
 ) -> Iterator[World]:
     """A world whose left hand stands open from the start."""
     qs = home(cell)
@@ -118,7 +123,9 @@ def test_friction_across_the_axes_is_a_pyramid(cell: Cell, solver: str, azimuth:
         assert slides(cell, physics, SLIDES + 1.5, azimuth).min() > 10.0
 
 
-@pytest.mark.parametrize(("factor", "slope", "stays"), [(0.5, 13.0, True), (0.5, 16.0, False), (2.0, 43.0, True), (2.0, 47.0, False)])
+@pytest.mark.parametrize(
+    ("factor", "slope", "stays"), [(0.5, 13.0, True), (0.5, 16.0, False), (2.0, 43.0, True), (2.0, 47.0, False)]
+)
 def test_the_factor_on_friction_is_the_factor_on_friction(cell: Cell, factor: float, slope: float, stays: bool) -> None:
     """tan 14.0 deg = 0.25, tan 45 deg = 1."""
     assert (slides(cell, Physics(friction=factor), slope, 0.0).max() < 0.2) == stays
@@ -177,6 +184,32 @@ def test_a_gripped_piece_that_is_not_pulled_stays(cell: Cell, robot: Robot) -> N
         end = world.piece_poses()["block"]
     assert np.linalg.norm(end[:3, 3] - start[:3, 3]) < 2e-5
     assert np.rad2deg(rotation_angle(start[:3, :3], end[:3, :3])) < 0.02
+
+
+def test_renewing_the_anchors_in_flight_lets_nothing_slide(cell: Cell, robot: Robot) -> None:
+    """A transfer drops the pads' friction anchors for one sample in four: the grip must still be the whole of Coulomb's."""
+    block = box((SIDE, SIDE, 3 * SIDE), "block")
+    T = robot.tcp(0, cell.arms[0].q_home)
+    mu = np.sqrt(cell.arms[0].hand.pad_friction * block.friction)
+    with running(cell, assembly([block], [(0, 0, 0)]), {"block": T}, Physics(grip_force=GRIP), SIDE + 2e-3) as world:
+        p.setGravity(0, 0, 0, physicsClientId=world.client)
+        grip(world)
+
+        def slip(load: float, seconds: float) -> float:
+            start = world.piece_poses()["block"][2, 3]
+            for k in range(round(seconds / world.physics.dt)):
+                place = world.piece_poses()["block"][:3, 3].tolist()
+                body, pull = world.pieces["block"], [0.0, 0.0, -load]
+                p.applyExternalForce(body, -1, pull, place, p.WORLD_FRAME, physicsClientId=world.client)
+                if k % 4 == 0:
+                    world.anchor(0, "block", False)
+                world.step()
+                world.anchor(0, "block", True)
+            return float(start - world.piece_poses()["block"][2, 3])
+
+        assert slip(GRAVITY * block.mass, 2.0) < 1e-4  # its weight
+        assert slip(0.85 * 2 * mu * GRIP, 0.5) < 1e-3
+        assert slip(1.15 * 2 * mu * GRIP, 0.5) > 5e-3
 
 
 def test_the_only_constraints_are_the_gears_of_the_fingers(cell: Cell, robot: Robot) -> None:

@@ -1,0 +1,243 @@
+"""The program: one motion after another without a jump, within every limit, clear of everything, replanned from anywhere."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from soma_bullet.errors import NoSolutionError
+from soma_bullet.frames import Array
+from soma_bullet.motion.timing import limit_margins
+from soma_bullet.planner.plan import AssemblyPlan
+from soma_bullet.records import read_npz, write_npz
+from soma_bullet.task.feed import Feed
+from soma_bullet.task.program import DT, MOTIONS, PLACE, SPEEDS, Program, Segment, make_program, replan
+from soma_bullet.task.workcell import Hands, Workcell
+
+STEP = ["transit", "approach", "grasp", "lift", "transfer", "insert", "place", "settle"]
+EXCESS = 1.03  # of a limit, by differences between samples
+
+
+def states(program: Program, workcell: Workcell) -> Iterator[tuple[int, Segment, Array]]:
+    """Index and segment, with the joints (arms, 6) of both arms before it."""
+    qs = np.array(workcell.robot.home)
+    for k, segment in enumerate(program.segments):
+        yield k, segment, qs.copy()
+        if len(segment.path):
+            qs[segment.arm] = segment.path[-1]
+
+
+def tips(workcell: Workcell, segment: Segment, stride: int = 1) -> Array:
+    return np.array([workcell.robot.tcp(segment.arm, q) for q in [*segment.path[::stride], segment.path[-1]]])
+
+
+def assert_straight(workcell: Workcell, segment: Segment) -> None:
+    """The hand goes along its offset, without turning, and never backwards."""
+    poses = tips(workcell, segment, 20)
+    length = np.linalg.norm(segment.offset)
+    along = segment.offset / length
+    travel = poses[:, :3, 3] - poses[0, :3, 3]
+    np.testing.assert_allclose(travel[-1], segment.offset, atol=5e-6)
+    assert np.linalg.norm(travel - np.outer(travel @ along, along), axis=1).max() < 2e-5
+    assert np.diff(travel @ along).min() > -1e-7
+    np.testing.assert_allclose(poses[:, :3, :3], np.broadcast_to(poses[0, :3, :3], poses[:, :3, :3].shape), atol=1e-4)
+
+
+# --- order and continuity ----------------------------------------------------------------------------------------------
+
+
+def test_every_piece_goes_through_every_stage(program: Program, plan: AssemblyPlan) -> None:
+    for step, piece in enumerate(plan.order):
+        mine = [s for s in program.segments if s.step == step]
+        assert [s.kind for s in mine[: len(STEP)]] == STEP
+        assert all((s.piece, s.arm) == (piece, program.schedule.assignments[step].arm) for s in mine[: len(STEP)])
+        rest = [s.kind for s in mine[len(STEP) :]]
+        releases = len(program.schedule.assignments[step].releases)
+        assert rest[: 2 * releases] == ["release", "retreat"] * releases
+        assert set(rest[2 * releases :]) <= {"home"}
+    assert [s.step for s in program.segments] == sorted(s.step for s in program.segments)
+
+
+def test_segments_start_where_the_arm_is(program: Program, workcell: Workcell) -> None:
+    for _, segment, qs in states(program, workcell):
+        if segment.kind in MOTIONS:
+            assert np.abs(segment.path[0] - qs[segment.arm]).max() < 1e-6, segment.kind
+        else:
+            assert len(segment.path) == 0 and segment.duration > 0
+
+
+def test_both_arms_end_at_home_with_empty_hands(program: Program, workcell: Workcell) -> None:
+    qs = np.array(workcell.robot.home)
+    gripped: dict[str, int] = {}
+    for segment in program.segments:
+        if len(segment.path):
+            qs[segment.arm] = segment.path[-1]
+        if segment.kind == "grasp":
+            gripped[segment.piece] = segment.arm
+        elif segment.kind == "release":
+            assert gripped.pop(segment.piece) == segment.arm
+        elif segment.kind in ("transit", "home"):
+            assert segment.arm not in gripped.values()
+    assert gripped == {}
+    np.testing.assert_allclose(qs, workcell.robot.home, atol=1e-6)
+
+
+def test_an_insertion_ends_at_the_goal(program: Program, workcell: Workcell) -> None:
+    for a in program.schedule.assignments:
+        insert, place = (
+            next(s for s in program.segments if (s.kind, s.step) == (kind, a.step)) for kind in ("insert", "place")
+        )
+        np.testing.assert_allclose(insert.path[0], a.q_ready, atol=1e-6)
+        np.testing.assert_allclose(place.path[-1], a.q_goal, atol=1e-6)
+        np.testing.assert_allclose(insert.offset + place.offset, a.length * a.direction, atol=1e-12)
+        assert np.linalg.norm(place.offset) == pytest.approx(PLACE)
+        assert place.guard > 0 and insert.guard == 0
+
+
+# --- limits ------------------------------------------------------------------------------------------------------------
+
+
+def test_joints_keep_their_ranges_and_speeds(program: Program, workcell: Workcell) -> None:
+    for segment in program.segments:
+        if not len(segment.path):
+            continue
+        arm = workcell.robot.arm(segment.arm)
+        assert (segment.path >= arm.lower).all() and (segment.path <= arm.upper).all()
+        speed, acceleration = limit_margins(segment.path, arm.velocity, arm.acceleration, DT)
+        assert speed <= EXCESS and acceleration <= EXCESS, segment.kind
+
+
+def test_lines_are_straight_and_slow(program: Program, workcell: Workcell) -> None:
+    lines = [segment for segment in program.segments if segment.kind in SPEEDS]
+    assert {segment.kind for segment in lines} == set(SPEEDS)
+    for segment in lines:
+        assert_straight(workcell, segment)
+        steps = np.linalg.norm(np.diff(tips(workcell, segment, 10)[:-1, :3, 3], axis=0), axis=1)
+        assert steps.max(initial=0.0) / (10 * DT) <= SPEEDS[segment.kind].speed * EXCESS
+        if segment.kind == "place":
+            assert 1.0 <= segment.seconds <= 2.0
+
+
+def test_motions_start_and_end_at_rest(program: Program, workcell: Workcell) -> None:
+    for segment in program.segments:
+        if len(segment.path) > 10:
+            largest = workcell.robot.arm(segment.arm).acceleration * DT**2 * 1.5
+            for ends in (segment.path[:2], segment.path[-2:]):
+                assert (np.abs(ends[1] - ends[0]) <= largest).all(), segment.kind
+
+
+def test_makespan_is_the_sum_of_the_segments(program: Program) -> None:
+    assert program.makespan == pytest.approx(sum(s.duration + max(0, len(s.path) - 1) * DT for s in program.segments))
+
+
+# --- clear of everything -----------------------------------------------------------------------------------------------
+
+
+def test_arms_never_meet_each_other_or_the_table(program: Program, workcell: Workcell) -> None:
+    """Checked again every 50 ms without the pieces, with the hands as wide as they are then."""
+    hands = workcell.idle()
+    for _, segment, qs in states(program, workcell):
+        hands = Hands(qs, hands.openings)
+        scene = workcell.scene({}, hands, segment.arm)
+        for q in segment.path[:: round(0.05 / DT)]:
+            assert not scene.collides(workcell.configuration(hands, segment.arm, q)), segment.kind
+        if segment.kind == "grasp":
+            width = next(a.width for a in program.schedule.assignments if a.step == segment.step)
+            hands = hands.with_arm(segment.arm, qs[segment.arm], width)
+        elif not np.isnan(segment.opening):
+            hands = hands.with_arm(segment.arm, qs[segment.arm], segment.opening)
+
+
+def test_pieces_in_place_stay_clear_of_empty_hands(program: Program, workcell: Workcell) -> None:
+    """Transits and ways home, every 50 ms, against every piece where it is then: in the feed or settled."""
+    placed: set[str] = set()
+    hands = workcell.idle()
+    gripped: dict[str, int] = {}
+    for _, segment, qs in states(program, workcell):
+        if segment.kind in ("transit", "home"):
+            poses = {n: workcell.settled[n] if n in placed else program.feed.pose(n) for n in program.feed.names}
+            now = Hands(qs, hands.openings, dict(gripped))
+            scene = workcell.scene(poses, now, segment.arm)
+            for q in segment.path[:: round(0.05 / DT)]:
+                assert not scene.collides(workcell.configuration(now, segment.arm, q, segment.opening)), segment.kind
+        if segment.kind == "grasp":
+            gripped[segment.piece] = segment.arm
+            width = next(a.width for a in program.schedule.assignments if a.step == segment.step)
+            hands = hands.with_arm(segment.arm, qs[segment.arm], width)
+        elif segment.kind == "settle":
+            placed.add(segment.piece)
+        elif segment.kind == "retreat":
+            gripped.pop(segment.piece)
+        if not np.isnan(segment.opening) and segment.kind != "grasp":
+            hands = hands.with_arm(segment.arm, qs[segment.arm], segment.opening)
+
+
+# --- files and seeds ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_the_same_seed_makes_the_same_bytes(
+    program: Program, workcell: Workcell, plan: AssemblyPlan, feed: Feed, tmp_path: Path
+) -> None:
+    write_npz(program, tmp_path / "one.npz")
+    write_npz(make_program(workcell, plan, feed, 0), tmp_path / "two.npz")
+    write_npz(read_npz(Program, tmp_path / "one.npz"), tmp_path / "three.npz")
+    first, second, third = ((tmp_path / f"{name}.npz").read_bytes() for name in ("one", "two", "three"))
+    assert first == second == third
+
+
+# --- planning on from measured joints ----------------------------------------------------------------------------------
+
+
+def perturbed(qs: Array, arm: int, size: float, seed: int = 0) -> Array:
+    rng = np.random.default_rng(seed)
+    moved = qs.copy()
+    moved[arm] += rng.uniform(-size, size, qs.shape[1])
+    return moved
+
+
+@pytest.mark.parametrize("kind", ["retreat", "lift", "place", "insert"])
+def test_a_line_is_made_anew_from_where_the_arm_is(kind: str, program: Program, workcell: Workcell, plan: AssemblyPlan) -> None:
+    size = 1e-3 if kind == "retreat" else 2e-4
+    for k, segment, qs in itertools.islice(((k, s, q) for k, s, q in states(program, workcell) if s.kind == kind), 2):
+        measured = perturbed(qs, segment.arm, size)
+        made = replan(workcell, plan, program, k, measured)
+        assert (made.path[0] == measured[segment.arm]).all()
+        assert (made.kind, made.step, made.piece, made.guard, made.duration) == (
+            kind,
+            segment.step,
+            segment.piece,
+            segment.guard,
+            0.0,
+        )
+        np.testing.assert_array_equal(made.offset, segment.offset)
+        assert_straight(workcell, made)
+
+
+@pytest.mark.parametrize("kind", ["transit", "transfer", "home"])
+def test_a_transfer_is_made_anew_to_the_same_end(kind: str, program: Program, workcell: Workcell, plan: AssemblyPlan) -> None:
+    k, segment, qs = next((k, s, q) for k, s, q in states(program, workcell) if s.kind == kind)
+    measured = perturbed(qs, segment.arm, 1e-3)
+    made = replan(workcell, plan, program, k, measured)
+    assert (made.path[0] == measured[segment.arm]).all()
+    np.testing.assert_allclose(made.path[-1], segment.path[-1], atol=1e-9)
+    speed, acceleration = limit_margins(made.path, *_limits(workcell, segment.arm), DT)
+    assert speed <= EXCESS and acceleration <= EXCESS
+
+
+def _limits(workcell: Workcell, arm: int) -> tuple[Array, Array]:
+    return workcell.robot.arm(arm).velocity, workcell.robot.arm(arm).acceleration
+
+
+def test_what_cannot_be_made_from_there_says_so(program: Program, workcell: Workcell, plan: AssemblyPlan) -> None:
+    k, segment, qs = next((k, s, q) for k, s, q in states(program, workcell) if s.kind == "lift")
+    stretched = qs.copy()
+    stretched[segment.arm] = (0.0, -np.pi / 2, 0.0, 0.0, 0.0, 0.0)  # straight up: 60 mm higher is out of reach
+    with pytest.raises(
+        NoSolutionError, match=f"{segment.piece}: lift cannot be made from the measured joints: (unreachable|branch)"
+    ):
+        replan(workcell, plan, program, k, stretched)
