@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soma_bullet.frames import Array, readonly, to_quat_xyzw
+from soma_bullet.frames import Array, readonly, rotation_angle, to_quat_xyzw
 from soma_bullet.sim.log import ExecutionLog, Recorder, SegmentRecord
 from soma_bullet.sim.world import World
 from soma_bullet.task.program import CLOSING, DT, OPENING_TIME, Program, Segment
@@ -18,6 +18,7 @@ TARE = 0.1  # [s] at rest before a guarded segment
 TOUCH_FORCE, EASED_FORCE = 5.0, 0.5  # [N] of the first touch, and of the grip before the pads leave
 RAMP = 0.15  # [s] between those and the full grip force
 EASED_SPEED, EASED_TIME = 0.01, 0.05  # [m/s], [s] of the first opening
+STALE = np.deg2rad(float(__import__("os").environ.get("STALE", "10")))  # [rad] by which a hand may turn before its pads' contacts are renewed
 FILTER = 4  # samples of the force that are averaged
 JAM = 2e-3  # [m] a guarded placing that stops farther from its end is jammed
 EMPTY = 2e-3  # [m] pads nearer to each other than a piece's width less this hold nothing
@@ -58,9 +59,9 @@ class Executor:
         """Run one segment to its end or to its guard."""
         world, start = self.world, self.world.time
         if segment.kind == "grasp":
-            self._grip(segment.arm, segment.piece)
+            self._grip(segment.arm)
         elif segment.kind == "release":
-            self._let_go(segment.arm, segment.piece, segment.opening)
+            self._let_go(segment.arm, segment.opening)
         elif not np.isnan(segment.opening):
             world.open_hand(segment.arm, segment.opening)
         outcome, remaining, peak, force = "as planned", 0.0, 0.0, np.zeros(3)
@@ -86,24 +87,19 @@ class Executor:
         )
         return Observation(outcome, world.measured_joints(), world.openings(), readonly(force), remaining)
 
-    def _grip(self, arm: int, piece: str) -> None:
-        """Close gently, then squeeze harder and harder; the contacts are anchored once the pads lie flat."""
+    def _grip(self, arm: int) -> None:
+        """Close gently, then squeeze harder and harder."""
         force = self.world.grip_force(arm)
-        self.world.anchor(arm, piece, False)
         self.world.squeeze(arm, min(force, TOUCH_FORCE))
         self.wait(CLOSING / 2)
         self._ramp(arm, min(force, TOUCH_FORCE), force)
-        self.world.anchor(arm, piece, True)
 
-    def _let_go(self, arm: int, piece: str, opening: float) -> None:
-        """Renew the contacts and ease the grip before the pads leave: stale ones would kick the piece."""
-        self.world.anchor(arm, piece, False)
+    def _let_go(self, arm: int, opening: float) -> None:
+        """Ease the grip before the pads leave: a piece that is let go while squeezed hard gets a kick."""
         self._ramp(arm, self.world.grip_force(arm), EASED_FORCE)
         self.world.open_hand(arm, opening, EASED_SPEED)
         self.wait(EASED_TIME)
         self.world.open_hand(arm, opening)
-        self.wait(EASED_TIME)
-        self.world.anchor(arm, piece, True)
 
     def _ramp(self, arm: int, start: float, end: float) -> None:
         steps = max(1, round(RAMP / DT))
@@ -123,7 +119,13 @@ class Executor:
             tare = world.wrench(arm)[:3]
         recent: list[Array] = []
         peak = 0.0
+        anchored = world.tcp_poses()[arm][:3, :3]
         for k, q in enumerate(segment.path[1:], 1):
+            if segment.kind == "transfer":
+                turned = world.tcp_poses()[arm][:3, :3]
+                if rotation_angle(anchored, turned) > STALE or k + 1 == len(segment.path):
+                    world.renew_contacts(arm)
+                    anchored = turned
             world.command_arm(arm, q)
             self._step()
             if not segment.guard and k % 5:
@@ -156,7 +158,7 @@ class Executor:
     def let_go(self, segment: Segment, opening: float) -> None:
         """Open a hand where it is: what an ablation does to a hold."""
         start = self.world.time
-        self._let_go(segment.arm, segment.piece, opening)
+        self._let_go(segment.arm, opening)
         self.wait(OPENING_TIME)
         self.recorder.segments.append(
             SegmentRecord(

@@ -59,14 +59,14 @@ class World(Stage):
                 physicsClientId=self.client,
             )  # fmt: skip
 
-    def anchor(self, arm: int, piece: str, on: bool) -> None:
-        """Whether the contacts between a hand's pads and a piece are friction anchors, which keep them from creeping.
+    def renew_contacts(self, arm: int) -> None:
+        """Let the contacts of a hand's pads form anew in the next step.
 
-        Bullet keeps an anchored contact as it is, its normal in world axes included: once the hand has turned it is stale. That
-        does no harm while the hand squeezes, but the piece would be dragged along when it opens.
+        Bullet keeps an anchored contact as it is, its normal in world axes included. Once the hand has turned the normal is stale, up to
+        pointing backwards, and the piece is dragged along when the hand opens. Renewing the proxy drops it; nothing else changes.
         """
-        for body, link in [(self.robot, link) for link in self.finger_links[arm]] + [(self.pieces[piece], -1)]:
-            p.changeDynamics(body, link, frictionAnchor=int(on), physicsClientId=self.client)
+        for link in self.finger_links[arm]:
+            p.setCollisionFilterGroupMask(self.robot, link, 1, -1, physicsClientId=self.client)
 
     def step(self) -> None:
         """One time step with the current commands."""
