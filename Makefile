@@ -18,10 +18,10 @@ demo: setup
 	$(PY) scripts/run_episode.py meshes/soma/soma3.toml
 
 test: lint
-	$(PY) -m pytest -n 2 -q
+	$(PY) -m pytest -n 2 --dist loadfile -q
 
 fast: lint
-	$(PY) -m pytest -n 2 -q -m "not slow"
+	$(PY) -m pytest -n 2 --dist loadfile -q -m "not slow"
 
 lint: setup
 	$(VENV)/bin/lint-imports

@@ -31,10 +31,10 @@ class PhysicsArguments:
 
     substeps: int = 1
     """Time steps for each sample of a trajectory; trajectories are fed at 480 Hz."""
-    solver: Literal["dantzig", "pgs"] = "dantzig"
-    """dantzig solves the contacts of a step exactly; pgs iterates, and kicks a piece when a hand lets go of it."""
+    solver: Literal["pgs", "dantzig"] = "pgs"
+    """pgs iterates, with a friction cone; dantzig solves contacts between pieces exactly, with a friction pyramid."""
     iterations: int = 300
-    """Iterations of the pgs solver a step; with fewer, gripped pieces slip."""
+    """Iterations of the solver a step; with fewer, gripped pieces slip."""
     grip_force: float | None = None
     """[N]; the hand's own by default."""
     friction: float = 1.0

@@ -122,7 +122,7 @@ def read_npz(kind: type[T], path: Path) -> T:
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
         tree = json.loads(arrays.pop("header").tobytes())
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise InputError(str(path), f"cannot be read as a file of this package: {error}") from None
 
     def walk(node: Any) -> Any:

@@ -30,8 +30,9 @@ class Physics:
 
     Attributes:
         substeps: time steps for each sample of a trajectory.
-        solver: `dantzig` solves the contacts of a step exactly; `pgs` iterates, and kicks a piece when a hand lets go of it.
-        iterations: of the iterative solver; with two arms and a gripped piece fewer do not converge.
+        solver: `pgs` iterates, with a friction cone; `dantzig` solves contacts between pieces exactly, with a friction pyramid that holds
+            up to 1.4 times too much along its diagonals. What the robot touches is iterated in either.
+        iterations: of the solver; with two arms and a gripped piece fewer do not converge.
         gravity: [m/s2].
         grip_force: [N]; None for the hand's own.
         friction: factor on every friction coefficient.
@@ -40,7 +41,7 @@ class Physics:
     """
 
     substeps: int = 1
-    solver: Literal["dantzig", "pgs"] = "dantzig"
+    solver: Literal["pgs", "dantzig"] = "pgs"
     iterations: int = 300
     gravity: float = 9.81
     grip_force: float | None = None

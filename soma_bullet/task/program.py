@@ -42,6 +42,7 @@ SPEEDS = {
 }  # [m/s], [m/s2]
 MOTIONS = ("transit", "approach", "lift", "transfer", "insert", "place", "retreat", "home")
 EDGE_STEPS = (0.02, 0.004, 0.004, 0.004, 0.004)  # [rad] between checked states of an edge, one for each attempt
+CARRYING = 0.6  # of the joint limits while a hand carries a piece
 SMALLEST_JUMP = 1e-4  # [rad] a segment that starts farther from the measured joints is made anew
 
 
@@ -290,11 +291,13 @@ def plan_motion(
 ) -> Array:
     """Timed joints (n, 6) around obstacles. Raises TransferError, TimingError."""
     limits = workcell.robot.arm(arm)
+    gentle = CARRYING if scene.situation.carried else 1.0
     collides = lambda q: scene.collides(workcell.configuration(hands, arm, q, width))  # noqa: E731
     for attempt, step in enumerate(EDGE_STEPS):
         options = TransferOptions(seed=seed + 7919 * attempt, step=step)
         waypoints = plan_transfer(start, np.array([goal]), limits.lower, limits.upper, collides, options)
-        samples = time_path(blend_corners(waypoints, collides), limits.velocity, limits.acceleration, DT)
+        dense = blend_corners(waypoints, collides)
+        samples = time_path(dense, gentle * limits.velocity, gentle * limits.acceleration, DT)
         try:
             _check(samples, collides)
         except TimingError:
