@@ -79,6 +79,7 @@ def meshes() -> dict[str, trimesh.Trimesh]:
     tall = FINGER[1] / 2
     foot = -TCP_Z + PALM[2]  # z of the finger's foot, seen from the pad's centre
     for side, sign in (("left", 1.0), ("right", -1.0)):
+
         def mirrored(low: tuple[float, ...], high: tuple[float, ...], chamfer: float, s: float = sign) -> trimesh.Trimesh:
             x = sorted((s * low[0], s * high[0]))
             return chamfered((x[0], *low[1:]), (x[1], *high[1:]), chamfer)
@@ -98,7 +99,7 @@ def obj_text(mesh: trimesh.Trimesh) -> str:
     """OBJ with one normal a face: PyBullet would smooth over shared vertices."""
     lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in mesh.triangles.reshape(-1, 3) + 0.0]
     lines += [f"vn {x:.4f} {y:.4f} {z:.4f}" for x, y, z in np.round(mesh.face_normals, 4) + 0.0]
-    lines += [f"f {3*i+1}//{i+1} {3*i+2}//{i+1} {3*i+3}//{i+1}" for i in range(len(mesh.faces))]
+    lines += [f"f {3 * i + 1}//{i + 1} {3 * i + 2}//{i + 1} {3 * i + 3}//{i + 1}" for i in range(len(mesh.faces))]
     return "\n".join(lines).replace("-0.000000", "0.000000") + "\n"
 
 
@@ -119,23 +120,31 @@ def link(name: str, inertia: str, visuals: dict[str, str], boxes: list[tuple[np.
     """A link that shows `visuals` (mesh -> colour) and collides as boxes (size, centre)."""
     text = f'  <link name="{name}">\n{inertia}'
     for mesh, colour in visuals.items():
-        text += (f'    <visual>\n      <geometry><mesh filename="meshes/{mesh}.obj"/></geometry>\n'
-                 f'      <material name="{colour}"/>\n    </visual>\n')
+        text += (
+            f'    <visual>\n      <geometry><mesh filename="meshes/{mesh}.obj"/></geometry>\n'
+            f'      <material name="{colour}"/>\n    </visual>\n'
+        )
     for box in boxes:
-        text += (f'    <collision>\n      <origin xyz="{xyz(box[1])}"/>\n'
-                 f'      <geometry><box size="{xyz(box[0])}"/></geometry>\n    </collision>\n')
+        text += (
+            f'    <collision>\n      <origin xyz="{xyz(box[1])}"/>\n'
+            f'      <geometry><box size="{xyz(box[0])}"/></geometry>\n    </collision>\n'
+        )
     return text + "  </link>\n"
 
 
 def fixed(name: str, parent: str, child: str, origin: tuple[float, ...]) -> str:
-    return (f'  <joint name="{name}" type="fixed">\n    <parent link="{parent}"/>\n    <child link="{child}"/>\n'
-            f'    <origin xyz="{xyz(origin)}"/>\n  </joint>\n')
+    return (
+        f'  <joint name="{name}" type="fixed">\n    <parent link="{parent}"/>\n    <child link="{child}"/>\n'
+        f'    <origin xyz="{xyz(origin)}"/>\n  </joint>\n'
+    )
 
 
 def urdf_text() -> str:
     """The hand: positive joint values open; 0 is closed with the pads touching."""
-    tiny = ('    <inertial>\n      <mass value="0.001"/>\n'
-            '      <inertia ixx="1e-6" ixy="0" ixz="0" iyy="1e-6" iyz="0" izz="1e-6"/>\n    </inertial>\n')
+    tiny = (
+        '    <inertial>\n      <mass value="0.001"/>\n'
+        '      <inertia ixx="1e-6" ixy="0" ixz="0" iyy="1e-6" iyz="0" izz="1e-6"/>\n    </inertial>\n'
+    )
     text = '<?xml version="1.0"?>\n<!-- Written by scripts/generate_hand.py: change it there. -->\n<robot name="slim_hand">\n'
     for name, rgb in COLOURS.items():
         text += f'  <material name="{name}"><color rgba="{xyz(rgb)} 1"/></material>\n'
@@ -151,10 +160,12 @@ def urdf_text() -> str:
         depth = RECESS + PAD_DEPTH
         pad = np.array((depth, PAD, PAD)), (sign * depth / 2, 0.0, 0.0)
         text += link(f"finger_{side}", inertial(FINGER_MASS, FINGER, centre), shown, [body, pad])
-        text += (f'  <joint name="finger_{side}_joint" type="prismatic">\n    <parent link="palm"/>\n'
-                 f'    <child link="finger_{side}"/>\n    <origin xyz="{xyz((0, 0, TCP_Z))}"/>\n'
-                 f'    <axis xyz="{sign:g} 0 0"/>\n'
-                 f'    <limit lower="0" upper="{TRAVEL:g}" effort="{EFFORT:g}" velocity="{VELOCITY:g}"/>\n  </joint>\n')
+        text += (
+            f'  <joint name="finger_{side}_joint" type="prismatic">\n    <parent link="palm"/>\n'
+            f'    <child link="finger_{side}"/>\n    <origin xyz="{xyz((0, 0, TCP_Z))}"/>\n'
+            f'    <axis xyz="{sign:g} 0 0"/>\n'
+            f'    <limit lower="0" upper="{TRAVEL:g}" effort="{EFFORT:g}" velocity="{VELOCITY:g}"/>\n  </joint>\n'
+        )
     text += link("tcp", tiny, {}, [])
     return text + fixed("tcp_joint", "palm", "tcp", (0.0, 0.0, TCP_Z)) + "</robot>\n"
 

@@ -172,10 +172,15 @@ def _check_folder(out: Path | None) -> None:
 
 def _load_cell(options: EpisodeOptions) -> Cell:
     cell = load_cell(options.cell)
-    if options.hand is None:
-        return cell
-    hand = load_hand(options.hand) if Path(options.hand).suffix == ".toml" else load_cell(options.hand).arms[0].hand
-    return replace(cell, arms=tuple(replace(arm, hand=hand) for arm in cell.arms))
+    if options.hand is not None:
+        hand = load_hand(options.hand) if Path(options.hand).suffix == ".toml" else load_cell(options.hand).arms[0].hand
+        cell = replace(cell, arms=tuple(replace(arm, hand=hand) for arm in cell.arms))
+    force = options.physics.grip_force
+    for arm in cell.arms:
+        weakest, strongest = arm.hand.force_range
+        if force is not None and not weakest <= force <= strongest:
+            raise InputError("--physics.grip-force", f"{force:g} N: {arm.hand.name} grips with {weakest:g} to {strongest:g} N")
+    return cell
 
 
 def _resumed(
@@ -237,7 +242,7 @@ def execute(
     assembly: Assembly, workcell: Workcell, plan: AssemblyPlan, program: Program, options: EpisodeOptions, progress: Progress
 ) -> ExecutionLog:
     """The executive loop: run a segment, look at what was measured, go on as planned or plan on from there."""
-    actual: Feed = misplace(program.feed, options.feed, options.seed)
+    actual: Feed = misplace(assembly, program.feed, options.feed, options.seed)
     poses = {name: actual.pose(name) for name in actual.names}
     world = World(workcell.cell, assembly, program.stand, poses, np.array(workcell.robot.home), options.physics)
     try:

@@ -25,10 +25,14 @@ class InputError(SomaBulletError):
     def __init__(self, source: str, faults: str | Iterable[str]):
         self.source = str(source)
         self.faults = (faults,) if isinstance(faults, str) else tuple(faults)
-        lines = [f"{self.source}: {self.faults[0]}"] if len(self.faults) == 1 else [
-            f"{self.source}: {len(self.faults)} faults",
-            *(f"  - {fault}" for fault in self.faults),
-        ]
+        lines = (
+            [f"{self.source}: {self.faults[0]}"]
+            if len(self.faults) == 1
+            else [
+                f"{self.source}: {len(self.faults)} faults",
+                *(f"  - {fault}" for fault in self.faults),
+            ]
+        )
         super().__init__("\n".join(lines))
 
 

@@ -22,9 +22,7 @@ from soma_bullet.planner.plan import AssemblyPlan
 from soma_bullet.records import read_json, write_json
 
 ROOT = Path(__file__).resolve().parents[1]
-EMPTY = pytest.param(
-    b"", marks=pytest.mark.xfail(raises=EOFError, reason="read_npz lets numpy's EOFError through", strict=False)
-)
+EMPTY = b""
 Captured = pytest.CaptureFixture[str]
 
 

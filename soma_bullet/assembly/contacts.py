@@ -49,9 +49,7 @@ class Contact:
 
 def find_contacts(pieces: Sequence[Workpiece], goals: Array, support_height: float) -> tuple[Contact, ...]:
     """All patches among pieces at poses (n, 4, 4) and with the support plane z = support_height [m]."""
-    facets = [
-        tuple(facet.moved(goal) for facet in piece.facets) for piece, goal in zip(pieces, np.asarray(goals), strict=True)
-    ]
+    facets = [tuple(facet.moved(goal) for facet in piece.facets) for piece, goal in zip(pieces, np.asarray(goals), strict=True)]
     boxes = [np.array([[*f.lift(np.array(f.polygon.envelope.exterior.coords))] for f in fs]) for fs in facets]
     lows, highs = [b.min(axis=1) for b in boxes], [b.max(axis=1) for b in boxes]
     patches = []
@@ -114,7 +112,5 @@ def _merged(a: int, b: int, found: list[tuple[Facet, shapely.Geometry, float]], 
         outline = outline_vertices(shapely.multipoints(lifted @ basis.T))
         points = outline @ basis + facet.normal * (facet.offset + (0.0 if flip else gap / 2))
         normal = -facet.normal if flip else facet.normal
-        contacts.append(
-            Contact(a, b, readonly(normal), readonly(points), float(sum(shape.area for _, shape, _ in group)))
-        )
+        contacts.append(Contact(a, b, readonly(normal), readonly(points), float(sum(shape.area for _, shape, _ in group))))
     return contacts

@@ -43,9 +43,7 @@ class Hull:
         if self.box is not None:
             centre, axes, half = self.box
             box = (centre @ rotation.T + shift, axes @ rotation.T, half)
-        return Hull(
-            self.vertices @ rotation.T + shift, normals, self.offsets + normals @ shift, self.edges @ rotation.T, box
-        )
+        return Hull(self.vertices @ rotation.T + shift, normals, self.offsets + normals @ shift, self.edges @ rotation.T, box)
 
     def inset(self, distance: float) -> Hull:
         """The polytope with every face moved inwards by `distance` [m]. Raises ValueError where nothing is left."""
@@ -101,7 +99,9 @@ def hull_of_points(points: Array) -> Hull:
         low, high = reach.min(axis=0), reach.max(axis=0)
         return box_hull((low + high) / 2 @ directions, directions, (high - low) / 2)
     return Hull(
-        readonly(points[hull.vertices]), readonly(normals), readonly(-planes[:, 3]),
+        readonly(points[hull.vertices]),
+        readonly(normals),
+        readonly(-planes[:, 3]),
         readonly(unique_directions(np.array(edges))),
     )
 

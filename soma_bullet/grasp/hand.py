@@ -98,8 +98,10 @@ def load_hand(path: Path | str) -> Hand:
     finger_size = [2 * np.abs(box.T[1:3, :3]) @ box.half for box in (*boxes[1], *boxes[2])]
     if (pad_size > np.max(finger_size, axis=0) + 1e-9).any():
         faults.append(f"grip.pad_size: {pad_size * 1e3} mm exceeds the fingers, {np.max(finger_size, axis=0) * 1e3} mm")
-    gaps = [min(float(side * box.T[0, 3] - np.abs(box.T[0, :3]) @ box.half) for box in part)
-            for side, part in ((1.0, boxes[1]), (-1.0, boxes[2]))]
+    gaps = [
+        min(float(side * box.T[0, 3] - np.abs(box.T[0, :3]) @ box.half) for box in part)
+        for side, part in ((1.0, boxes[1]), (-1.0, boxes[2]))
+    ]
     if np.abs(gaps).max() > 1e-6:
         faults.append(f"urdf: closed fingers must touch at x = 0 of the tcp, they are {np.array(gaps) * 1e3} mm from it")
     if faults:
@@ -121,8 +123,11 @@ def _geometry(
         model = yourdfpy.URDF.load(str(urdf), load_meshes=False)
     except Exception as error:  # yourdfpy passes on whatever its XML library raises
         raise InputError(str(urdf), f"cannot be read as URDF: {error}") from None
-    faults = [f"links: {name!r} is not a link of {urdf.name}; it has {', '.join(model.link_map)}"
-              for name in names if name not in model.link_map]
+    faults = [
+        f"links: {name!r} is not a link of {urdf.name}; it has {', '.join(model.link_map)}"
+        for name in names
+        if name not in model.link_map
+    ]
     for name in finger_joints:
         joint = model.joint_map.get(name)
         if joint is None or joint.type != "prismatic":
@@ -142,8 +147,11 @@ def _geometry(
         tuple(_box(model.get_transform(link, tcp), shape, urdf, faults) for shape in model.link_map[link].collisions)
         for link in (palm, left, right)
     )
-    faults += [f"{urdf.name}: link {link} has no collision geometry"
-               for link, shapes in zip((palm, left, right), boxes, strict=True) if not shapes]
+    faults += [
+        f"{urdf.name}: link {link} has no collision geometry"
+        for link, shapes in zip((palm, left, right), boxes, strict=True)
+        if not shapes
+    ]
     if faults:
         raise InputError(str(path), faults)
     return model.get_transform(tcp, mount), boxes

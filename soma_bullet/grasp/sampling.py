@@ -92,9 +92,7 @@ def sample_grasps(piece: Workpiece, hand: Hand, options: SamplingOptions | None 
                     transforms.append(transform)
                     widths.append(width)
                     contacts.append(part)
-    return GraspSet(
-        readonly(np.array(transforms).reshape(-1, 4, 4)), readonly(np.array(widths)), readonly(np.array(contacts))
-    )
+    return GraspSet(readonly(np.array(transforms).reshape(-1, 4, 4)), readonly(np.array(widths)), readonly(np.array(contacts)))
 
 
 def _orientation(facet: Facet, roll: float) -> Array:
@@ -103,9 +101,7 @@ def _orientation(facet: Facet, roll: float) -> Array:
     return np.column_stack([facet.normal, np.cross(approach, facet.normal), approach])
 
 
-def _pad_placements(
-    overlap: shapely.Geometry, pad_size: Array, options: SamplingOptions
-) -> list[tuple[Array, float, Array]]:
+def _pad_placements(overlap: shapely.Geometry, pad_size: Array, options: SamplingOptions) -> list[tuple[Array, float, Array]]:
     """For each roll: grid points (k, 2) on the overlap, the roll [rad], and the fraction of the pad that lies on it (k,)."""
     low, high = np.array(overlap.bounds[:2]), np.array(overlap.bounds[2:])
     axes = [_ticks(low[k], high[k], options.spacing) for k in range(2)]

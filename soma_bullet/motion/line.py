@@ -30,9 +30,7 @@ class LineError(Exception):
         self.cause, self.at, self.q = cause, at, q
 
 
-def line_back(
-    robot: Robot, arm: int, q_end: Array, T_world_tcp: Array, away: Array, length: float, collides: Check
-) -> Array:
+def line_back(robot: Robot, arm: int, q_end: Array, T_world_tcp: Array, away: Array, length: float, collides: Check) -> Array:
     """Joints (n, 6) of a line that ends at q_end, traced backwards along the unit vector `away` (3,) for `length` [m].
 
     Returns them in the order of tracing: q_end first. The orientation of the hand stays.

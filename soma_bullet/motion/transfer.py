@@ -48,13 +48,11 @@ def edge_free(start: Array, end: Array, collides: Check, step: float = EDGE_STEP
     """Whether the straight joint edge between two configurations (6,) is free; its start is taken as checked."""
     count = max(1, int(np.ceil(np.abs(end - start).max() / step)))
     # far halves first: a blocked edge is found sooner
-    order = sorted(range(1, count + 1), key=lambda k: (k & -k), reverse=True)
+    order = sorted(range(1, count + 1), key=lambda k: k & -k, reverse=True)
     return not any(collides(start + (end - start) * (k / count)) for k in order)
 
 
-def plan_transfer(
-    start: Array, goals: Array, lower: Array, upper: Array, collides: Check, options: TransferOptions
-) -> Array:
+def plan_transfer(start: Array, goals: Array, lower: Array, upper: Array, collides: Check, options: TransferOptions) -> Array:
     """Waypoints (m, 6) from `start` (6,) to one of `goals` (k, 6).
 
     Args:

@@ -112,9 +112,7 @@ def analyse_freedom(normals: Array) -> Freedom:
             break
         best, clearance = widest_direction(flat)
         if clearance >= SMALLEST_CLEARANCE:
-            return Freedom(
-                TYPES[len(span), min(lineality, len(span))], clearance, best, _alternatives(best, flat, span), span
-            )
+            return Freedom(TYPES[len(span), min(lineality, len(span))], clearance, best, _alternatives(best, flat, span), span)
         # normals that face each other are equalities: d moves only across them
         facing = _facing(flat, span)
         span = _complement(span, flat[facing] if facing.any() else flat)

@@ -104,9 +104,7 @@ def active_contacts(assembly: Assembly, placed: frozenset[int], held: frozenset[
     return chosen
 
 
-def contact_columns(
-    contact: Contact, assembly: Assembly, free: Sequence[int], held: frozenset[int], sides: Sides
-) -> Array:
+def contact_columns(contact: Contact, assembly: Assembly, free: Sequence[int], held: frozenset[int], sides: Sides) -> Array:
     """Wrenches (6 * free, m) on the free bodies, about their centres of mass, of unit forces at the patch's corners."""
     forces = contact_forces(contact, friction_of(contact, assembly), frictionless(contact, held, sides))
     columns = np.zeros((6 * len(free), len(contact.points) * len(forces)))

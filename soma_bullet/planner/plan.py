@@ -273,7 +273,5 @@ def _sensitivity(qualities: Qualities, row: OrderRow) -> list[Sensitivity]:
         reported |= set(sorted((j for j in values if values[j] > 0), key=values.__getitem__)[:1])
         for piece in sorted(reported):
             turned = [qualities.paper_stability(piece, placed, i * np.pi / 3 / TURNS) for i in range(TURNS)]
-            found.append(
-                Sensitivity(row.order[: k + 1], qualities.assembly.names[piece], turned[0], min(turned), max(turned))
-            )
+            found.append(Sensitivity(row.order[: k + 1], qualities.assembly.names[piece], turned[0], min(turned), max(turned)))
     return found

@@ -54,9 +54,7 @@ class Qualities:
 
     def paper_stability(self, piece: int, placed: Placed, turn: float = 0.0) -> float:
         """s of `piece` in the placed set (that contains it), by the paper's wrench set. Unit: weights of the piece."""
-        neighbours = frozenset(
-            k for c in self.assembly.contacts if piece in (c.body_a, c.body_b) for k in (c.body_a, c.body_b)
-        )
+        neighbours = frozenset(k for c in self.assembly.contacts if piece in (c.body_a, c.body_b) for k in (c.body_a, c.body_b))
         key = (piece, neighbours & placed, turn)
         if key not in self._paper:
             contacts = self.assembly.contacts_of(piece, placed)

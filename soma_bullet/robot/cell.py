@@ -278,8 +278,7 @@ def _read_model(name: str, fields: Fields, path: Path, scale: float) -> ArmModel
     if len(faults) > before:
         return None
     lower, upper, velocity, effort = (
-        readonly([getattr(joint_map[joint].limit, key) for joint in joints])
-        for key in ("lower", "upper", "velocity", "effort")
+        readonly([getattr(joint_map[joint].limit, key) for joint in joints]) for key in ("lower", "upper", "velocity", "effort")
     )
     return ArmModel(
         name, urdf, base, tool, joints, lower, upper, velocity, readonly(acceleration), effort,

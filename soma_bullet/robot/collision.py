@@ -60,9 +60,7 @@ class CollisionModel:
             self.piece_shapes[name] = [self._add_part(f"{name}/{k}", part) for k, part in enumerate(parts)]
             self.bodies += [name] * len(parts)
         self.arm_of = [self._arm_of(body) for body in self.bodies]
-        self.hand_links = {
-            link for arm in robot.cell.arms for link in (*arm.finger_links, arm.prefixed(arm.hand.palm_link))
-        }
+        self.hand_links = {link for arm in robot.cell.arms for link in (*arm.finger_links, arm.prefixed(arm.hand.palm_link))}
         self.robot_pairs = self._robot_pairs()
 
     def _add_part(self, name: str, part: Hull) -> tuple[int, pin.SE3]:

@@ -129,5 +129,3 @@ def nearest_turn(q: Array, reference: Array, lower: Array, upper: Array) -> Arra
     turned = reference + (q - reference + np.pi) % (2 * np.pi) - np.pi
     turned = np.where(turned > upper, turned - 2 * np.pi, np.where(turned < lower, turned + 2 * np.pi, turned))
     return None if np.any(turned > upper) or np.any(turned < lower) else turned
-
-

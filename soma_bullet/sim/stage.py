@@ -30,8 +30,8 @@ class Physics:
 
     Attributes:
         substeps: time steps for each sample of a trajectory.
-        solver: `pgs` iterates, with a friction cone; `dantzig` solves contacts between pieces exactly, with a friction pyramid that holds
-            up to 1.4 times too much along its diagonals. What the robot touches is iterated in either.
+        solver: `pgs` iterates, with a friction cone; `dantzig` solves contacts between pieces exactly, with a friction
+            pyramid that holds up to 1.4 times too much along its diagonals. What the robot touches is iterated in either.
         iterations: of the solver; with two arms and a gripped piece fewer do not converge.
         gravity: [m/s2].
         grip_force: [N]; None for the hand's own.
@@ -147,7 +147,7 @@ class Stage:
             self._rub(self.fixtures[name], -1, np.sqrt(friction * self.physics.friction))
 
     def _rub(self, body: int, link: int, coefficient: float, anchor: bool = False) -> None:
-        """Set friction. Bullet multiplies the coefficients of two bodies; each gets the root of its own, so they meet in the mean."""
+        """Set friction. Bullet multiplies two bodies' coefficients: with the root of each they meet in the mean."""
         p.changeDynamics(
             body, link, lateralFriction=float(coefficient), spinningFriction=0.0, rollingFriction=0.0,
             frictionAnchor=int(anchor), physicsClientId=self.client,

@@ -62,8 +62,9 @@ class World(Stage):
     def renew_contacts(self, arm: int) -> None:
         """Let the contacts of a hand's pads form anew in the next step.
 
-        Bullet keeps an anchored contact as it is, its normal in world axes included. Once the hand has turned the normal is stale, up to
-        pointing backwards, and the piece is dragged along when the hand opens. Renewing the proxy drops it; nothing else changes.
+        Bullet keeps an anchored contact as it is, its normal in world axes included. Once the hand has turned the normal is
+        stale, up to pointing backwards, and drags the piece along when the hand opens. Renewing the links' place in the broad
+        phase drops it; nothing else changes.
         """
         for link in self.finger_links[arm]:
             p.setCollisionFilterGroupMask(self.robot, link, 1, -1, physicsClientId=self.client)

@@ -138,14 +138,16 @@ def _rows(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int) -> Feed
     return Feed(assembly.names, readonly(np.array([poses[name] for name in assembly.names])), 0, 0, seed)
 
 
-def misplace(feed: Feed, options: FeedOptions, seed: int) -> Feed:
-    """Where the pieces really lie when `feed` is what was perceived."""
+def misplace(assembly: Assembly, feed: Feed, options: FeedOptions, seed: int) -> Feed:
+    """Where the pieces really lie when `feed` is what was perceived: each turned about its centre of mass and shifted."""
     if options.noise_mm == 0.0 and options.noise_deg == 0.0:
         return feed
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0x0FF,)))
     poses = np.array(feed.poses)
-    for pose in poses:
+    for piece, pose in zip(assembly.pieces, poses, strict=True):
         turn = rotation_about((0, 0, 1), np.deg2rad(rng.normal(0.0, options.noise_deg)))
+        centre = apply(pose, piece.center_of_mass)
         pose[:3, :3] = turn @ pose[:3, :3]
+        pose[:3, 3] = centre + turn @ (pose[:3, 3] - centre)
         pose[:2, 3] += rng.normal(0.0, options.noise_mm * 1e-3, 2)
     return replace(feed, poses=readonly(poses))

@@ -10,6 +10,7 @@ import numpy as np
 
 from soma_bullet.assembly.contacts import SUPPORT
 from soma_bullet.assembly.model import Assembly
+from soma_bullet.errors import InputError
 from soma_bullet.frames import Array, make_transform, readonly
 from soma_bullet.robot.cell import Cell
 from soma_bullet.robot.collision import CollisionModel, Scene, Situation
@@ -78,6 +79,11 @@ class Workcell:
     def __init__(self, assembly: Assembly, cell: Cell):
         self.assembly, self.cell = assembly, cell
         self.robot = Robot(cell, stand_size(assembly))
+        clashes = sorted(set(assembly.names) & {frame.name for frame in self.robot.model.frames})
+        if clashes:
+            raise InputError(
+                assembly.name, [f"piece {name!r} is called like a part of the cell {cell.name}" for name in clashes]
+            )
         self.collision = CollisionModel(self.robot, {piece.name: piece.body_parts for piece in assembly.pieces})
         self.T_world_assembly = readonly(assembly_frame(assembly, cell))
 
@@ -115,7 +121,7 @@ class Workcell:
         touching: frozenset[frozenset[str]] = frozenset(),
         alone: bool = False,
     ) -> Scene:
-        """A scene in which one arm moves, maybe carrying (piece, T_tcp_piece); the others stand still or (`alone`) are left out."""
+        """A scene: one arm moves, maybe carrying (piece, T_tcp_piece); the others stand still or (`alone`) are left out."""
         still = {name: pose for name, pose in poses.items() if carried is None or name != carried[0]}
         held = {} if carried is None else {carried[0]: (arm, carried[1])}
         absent = frozenset(k for k in range(len(self.cell.arms)) if alone and k != arm)
