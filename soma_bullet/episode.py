@@ -150,6 +150,7 @@ def run_episode(
         judgement=verdict,
         feed_rejected={"overlap": program.feed.overlaps, "no common grasp": program.feed.graspless} if program else {},
         rejections=program.schedule.rejections if program else {},
+        certificates=_certificates(program),
         makespan_s=verdict.makespan_s,
         wall_s={name: round(seconds, 3) for name, seconds in clock.seconds.items()},
         video=video,
@@ -168,6 +169,12 @@ def _check_folder(out: Path | None) -> None:
         raise InputError("--out", f"{out} cannot be a folder: {there} is a file")
     if not os.access(there, os.W_OK):
         raise InputError("--out", f"{out} cannot be written: no permission in {there}")
+
+
+def _certificates(program: Program | None) -> dict[str, float]:
+    """Margin of every hold of the schedule, by piece."""
+    assignments = program.schedule.assignments if program else ()
+    return {a.piece: round(a.certificate.margin, 3) for a in assignments if a.certificate is not None}
 
 
 def _load_cell(options: EpisodeOptions) -> Cell:

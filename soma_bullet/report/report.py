@@ -22,6 +22,7 @@ class EpisodeReport:
         judgement: every number of the judge.
         feed_rejected: draws of the feed that were rejected, by reason.
         rejections: what the schedule's search ruled out, and how often.
+        certificates: held piece -> factor by which the load that its hold must resist could grow.
         makespan_s: simulated time until both hands had let go and left.
         wall_s: wall time of each stage.
         video: its file and renderer, or why there is none.
@@ -41,6 +42,7 @@ class EpisodeReport:
     judgement: Judgement
     feed_rejected: dict[str, int]
     rejections: dict[str, int]
+    certificates: dict[str, float]
     makespan_s: float
     wall_s: dict[str, float]
     video: dict[str, str]
@@ -69,9 +71,11 @@ def print_report(report: EpisodeReport, console: Console) -> None:
             f"largest slip in a grasp   {slip.slip_mm:.2f} mm, {slip.slip_deg:.2f} deg ({slip.piece}, {slip.arm} hand)"
         )
     for hold in judgement.holds:
+        margin = report.certificates.get(hold.piece)
         console.print(
             f"{hold.arm} held {hold.piece:<12} {hold.seconds:.1f} s, "
             f"drift {hold.drift_mm:.2f} mm, grip at least {hold.grip_n:.0f} N"
+            + (f", certified for {margin:.1f} x its load" if margin is not None else "")
         )
     for insertion in judgement.insertions:
         console.print(
