@@ -186,8 +186,8 @@ def test_a_gripped_piece_that_is_not_pulled_stays(cell: Cell, robot: Robot) -> N
     assert np.rad2deg(rotation_angle(start[:3, :3], end[:3, :3])) < 0.02
 
 
-def test_renewing_the_anchors_in_flight_lets_nothing_slide(cell: Cell, robot: Robot) -> None:
-    """A transfer drops the pads' friction anchors for one sample in four: the grip must still be the whole of Coulomb's."""
+def test_renewing_the_contacts_in_flight_lets_nothing_slide(cell: Cell, robot: Robot) -> None:
+    """A transfer renews the pads' contacts when the hand has turned: the grip must still be the whole of Coulomb's."""
     block = box((SIDE, SIDE, 3 * SIDE), "block")
     T = robot.tcp(0, cell.arms[0].q_home)
     mu = np.sqrt(cell.arms[0].hand.pad_friction * block.friction)
@@ -201,15 +201,38 @@ def test_renewing_the_anchors_in_flight_lets_nothing_slide(cell: Cell, robot: Ro
                 place = world.piece_poses()["block"][:3, 3].tolist()
                 body, pull = world.pieces["block"], [0.0, 0.0, -load]
                 p.applyExternalForce(body, -1, pull, place, p.WORLD_FRAME, physicsClientId=world.client)
-                if k % 4 == 0:
-                    world.anchor(0, "block", False)
+                if k % 100 == 0:
+                    world.renew_contacts(0)
                 world.step()
-                world.anchor(0, "block", True)
             return float(start - world.piece_poses()["block"][2, 3])
 
         assert slip(GRAVITY * block.mass, 2.0) < 1e-4  # its weight
         assert slip(0.85 * 2 * mu * GRIP, 0.5) < 1e-3
         assert slip(1.15 * 2 * mu * GRIP, 0.5) > 5e-3
+
+
+def test_contacts_point_along_the_closing_axis_after_the_hand_has_turned(cell: Cell, robot: Robot) -> None:
+    """Bullet keeps anchored contacts with their normals in world axes: after a turn of the wrist they must have been renewed."""
+    block = box((SIDE, SIDE, 3 * SIDE), "block")
+    T = robot.tcp(0, cell.arms[0].q_home)
+    with running(cell, assembly([block], [(0, 0, 0)]), {"block": T}, Physics(grip_force=GRIP), SIDE + 2e-3) as world:
+        p.setGravity(0, 0, 0, physicsClientId=world.client)
+        grip(world)
+
+        def alignment() -> float:
+            rows = p.getContactPoints(world.robot, world.pieces["block"], physicsClientId=world.client)
+            return min(abs(float(np.dot(row[7], world.tcp_poses()[0][:3, 0]))) for row in rows)
+
+        q = np.array(cell.arms[0].q_home)
+        for _ in range(240):
+            q[5] += np.deg2rad(90) / 240
+            world.command_arm(0, q)
+            world.step()
+        stale = alignment()
+        world.renew_contacts(0)
+        world.step()
+        assert stale < 0.95  # what the renewal is for
+        assert alignment() > 0.999
 
 
 def test_the_only_constraints_are_the_gears_of_the_fingers(cell: Cell, robot: Robot) -> None:
