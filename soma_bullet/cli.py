@@ -126,6 +126,7 @@ def _run(options: RunArguments) -> int:
     from soma_bullet.task.feed import FeedOptions
 
     console = Console(stderr=True)
+    console.width = max(console.width, 110)  # a log file has no width of its own; the table needs this much
     video, physics = options.film, options.physics
     film = FilmOptions(size=video.size, fps=video.fps, speed=video.speed, camera=video.camera, renderer=video.renderer)
     out = options.out or Path("runs") / load_assembly(options.assembly).name

@@ -41,7 +41,8 @@ def report() -> EpisodeReport:
     return EpisodeReport(
         success=True, pieces=pieces, assembly="soma3", digest="0123", cell="ur5e_pair", order=("Z", "BigL"),
         stability="equilibrium", seed=5, ablation="", tolerance=Tolerance(), judgement=judgement, feed_rejected={"overlap": 2},
-        rejections={"Z: right arm does not reach the goal": 3}, certificates={"Z": 17.6}, makespan_s=29.3, wall_s={"plan": 0.4, "execution": 7.0},
+        rejections={"Z: right arm does not reach the goal": 3}, certificates={"Z": 17.6},
+        makespan_s=29.3, wall_s={"plan": 0.4, "execution": 7.0},
         video={"file": "", "renderer": "", "note": ""}, versions=package_versions(),
     )  # fmt: skip
 

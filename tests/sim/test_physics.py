@@ -212,7 +212,7 @@ def test_renewing_the_contacts_in_flight_lets_nothing_slide(cell: Cell, robot: R
 
 
 def test_contacts_point_along_the_closing_axis_after_the_hand_has_turned(cell: Cell, robot: Robot) -> None:
-    """Bullet keeps anchored contacts with their normals in world axes: after a turn of the wrist they must have been renewed."""
+    """Bullet keeps anchored contacts with their normals in world axes: after a turn they must have been renewed."""
     block = box((SIDE, SIDE, 3 * SIDE), "block")
     T = robot.tcp(0, cell.arms[0].q_home)
     with running(cell, assembly([block], [(0, 0, 0)]), {"block": T}, Physics(grip_force=GRIP), SIDE + 2e-3) as world:
