@@ -14,7 +14,7 @@ from blocks import box
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.frames import Array, inverse, make_transform, rotation_about, to_quat_xyzw
 from soma_bullet.robot.cell import load_cell
-from soma_bullet.robot.collision import MARGIN, NEAR_MARGIN, CollisionModel, Scene, Situation
+from soma_bullet.robot.collision import HAND_MARGIN, NEAR_MARGIN, CollisionModel, Scene, Situation
 from soma_bullet.robot.compose import compose_urdf
 from soma_bullet.robot.kinematics import Robot
 
@@ -105,7 +105,7 @@ def test_home_is_free_and_through_the_table_is_not(robot: Robot, model: Collisio
     assert frozenset({"left_finger_left", "table"}) in named
 
 
-@pytest.mark.parametrize(("other", "margin"), [("table", MARGIN), ("one", NEAR_MARGIN)])
+@pytest.mark.parametrize(("other", "margin"), [("table", HAND_MARGIN), ("one", NEAR_MARGIN)])
 def test_margins(robot: Robot, blocks: CollisionModel, other: str, margin: float) -> None:
     """A closed hand comes down on the table, and on a cube."""
     top = 0.0 if other == "table" else 0.03
