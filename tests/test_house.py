@@ -153,6 +153,9 @@ def test_a_wheel_holds_all_data_and_works_outside_the_checkout(tmp_path: Path) -
         archive.extractall(site)
     expected = {path if path.parts[0] == "soma_bullet" else Path("soma_bullet", path) for path in files if len(path.parts) > 1}
     assert {path.as_posix() for path in expected} - held == set()
-    code = "from soma_bullet.assembly import file; print(file.__file__, file.load_assembly('soma3').name)"
+    code = (
+        "from soma_bullet.assembly import file; from soma_bullet.robot.cell import load_cell; "
+        "print(file.__file__, file.load_assembly('soma3').name, load_cell('ur5e_pair').name)"
+    )
     used = python("-c", code, folder=tmp_path, path=site)
-    assert used.stdout.split() == [str(site / "soma_bullet" / "assembly" / "file.py"), "soma3"], used.stderr
+    assert used.stdout.split() == [str(site / "soma_bullet" / "assembly" / "file.py"), "soma3", "ur5e_pair"], used.stderr

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from soma_bullet.sim.judge import Judgement, PieceVerdict, Tolerance
@@ -59,7 +60,7 @@ def print_report(report: EpisodeReport, console: Console) -> None:
         ("error [deg]", "right"),
         ("in place", "left"),
     ):
-        table.add_column(heading, justify=justify)  # type: ignore[arg-type]
+        table.add_column(escape(heading), justify=justify)  # type: ignore[arg-type]
     for piece in report.pieces:
         mark = "[green]yes[/]" if piece.in_place else "[red]no[/]"
         table.add_row(piece.name, f"{piece.error_mm:.2f}", f"{piece.error_max_mm:.2f}", f"{piece.error_deg:.2f}", mark)

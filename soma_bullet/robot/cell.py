@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import resources, util
+from importlib import util
 from pathlib import Path
 from typing import Any
 
@@ -172,9 +172,8 @@ class Cell:
 
 def cell_folders() -> list[Path]:
     """Where cells are looked for by name: the installed package, then the checkout."""
-    folders = []
-    if util.find_spec("soma_bullet.robots") is not None:
-        folders.append(Path(str(resources.files("soma_bullet.robots"))))
+    spec = util.find_spec("soma_bullet.robots")  # data without an __init__: a namespace package, with a list of places
+    folders = [Path(place) for place in (spec.submodule_search_locations or ())] if spec is not None else []
     return [*folders, Path(__file__).resolve().parents[2] / "robots"]
 
 
