@@ -74,7 +74,7 @@ def run(arguments: Arguments, say: Callable[[str], object]) -> dict:
     from soma_bullet.robot.cell import load_cell
     from soma_bullet.sim.judge import judge
     from soma_bullet.task.feed import draw_feed
-    from soma_bullet.task.program import MOTIONS, _Builder, make_program
+    from soma_bullet.task.program import MOTIONS, ProgramBuilder, make_program
     from soma_bullet.task.schedule import Scheduler
     from soma_bullet.task.workcell import Workcell
 
@@ -101,7 +101,7 @@ def run(arguments: Arguments, say: Callable[[str], object]) -> dict:
         with watch.measure("schedule"):
             schedule = Scheduler(workcell, plan, feed).find()
         with watch.measure("motions of that schedule"):
-            segments = list(_Builder(workcell, plan, feed, schedule, seed).segments())
+            segments = list(ProgramBuilder(workcell, plan, feed, schedule, seed).segments())
         motions = sum(segment.kind in MOTIONS for segment in segments)
         watch.seconds["one motion"].append(watch.seconds["motions of that schedule"][-1] / motions)
         with watch.measure("schedule and motions, with failures"):

@@ -130,7 +130,7 @@ def make_program(
     while True:
         schedule = scheduler.find()
         try:
-            segments = tuple(_Builder(workcell, plan, feed, schedule, seed).segments())
+            segments = tuple(ProgramBuilder(workcell, plan, feed, schedule, seed).segments())
         except MotionError as error:
             a = error.assignment
             scheduler.excluded.add((a.step, a.arm, a.grasp))
@@ -154,8 +154,8 @@ class _Context:
     touching: frozenset[frozenset[str]] = frozenset()
 
 
-class _Builder:
-    """Makes the segments of one schedule."""
+class ProgramBuilder:
+    """Makes the segments of one schedule; raises MotionError at the first motion that cannot be made."""
 
     def __init__(self, workcell: Workcell, plan: AssemblyPlan, feed: Feed, schedule: Schedule, seed: int):
         self.workcell, self.plan, self.feed, self.schedule, self.seed = workcell, plan, feed, schedule, seed
