@@ -28,7 +28,7 @@ Frame = NDArray[np.uint8]
 
 RENDERERS = ("auto", "egl", "tiny")
 
-_NEAR, _FAR = 0.3, 12.0  # [m] what is nearer to the eye would fill the picture, and is not drawn
+_NEAR, _FAR = 0.2, 12.0  # [m] what is nearer to the eye would fill the picture, and is not drawn
 _AWAY = (0.0, 0.0, -100.0)  # where what is not shown waits
 _LARGEST = (1024, 768)  # [pixels] of one OpenGL picture
 _EMPTY = 0.99999  # of the depth buffer: nothing was drawn there
