@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import manifold3d
 import numpy as np
 import trimesh
 
@@ -26,6 +27,19 @@ def cells(body: Sequence[Cell], name: str = "cells", side: float = SIDE) -> Work
     """A body made of cells."""
     vertices, faces = cell_mesh(body, side)
     return Workpiece(name, readonly(vertices), readonly(faces, int))
+
+
+def solid(body: manifold3d.Manifold, name: str = "solid", **options: float) -> Workpiece:
+    """A body of manifold3d, in mm."""
+    raw = body.to_mesh64()
+    return Workpiece(name, readonly(raw.vert_properties[:, :3] / 1e3), readonly(raw.tri_verts, int), **options)
+
+
+def cup(radius: float, sections: int = 24) -> trimesh.Trimesh:
+    """Half a hollow sphere, open upwards: curved inwards in two directions."""
+    shell = manifold3d.Manifold.sphere(radius, sections) - manifold3d.Manifold.sphere(0.8 * radius, sections)
+    raw = (shell - manifold3d.Manifold.cube([5 * radius] * 3, True).translate([0, 0, 2.5 * radius])).to_mesh64()
+    return trimesh.Trimesh(raw.vert_properties[:, :3], raw.tri_verts, process=False)
 
 
 def assembly(

@@ -9,8 +9,9 @@ import manifold3d
 import numpy as np
 
 from soma_bullet.assembly.contacts import SUPPORT
+from soma_bullet.assembly.decomposition import NotDecomposableError
 from soma_bullet.assembly.model import Assembly
-from soma_bullet.assembly.workpiece import NotDecomposableError, Workpiece
+from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.frames import apply
 
 SMALLEST, LARGEST = 0.002, 1.0  # [m] plausible sizes of a piece; outside them the unit is the likelier cause
@@ -34,7 +35,7 @@ def piece_faults(piece: Workpiece) -> Iterator[str]:
     try:
         parts = piece.parts
     except NotDecomposableError as error:
-        yield str(error)
+        yield f"{where}: {error}"
         return
     thinnest = min(float(np.ptp(part.vertices @ part.axes.T, axis=0).min()) for part in parts)
     if piece.clearance >= LARGEST_CLEARANCE * thinnest:
@@ -61,13 +62,22 @@ def _overlaps(assembly: Assembly, bodies: list[manifold3d.Manifold]) -> Iterator
     for (a, body_a), (b, body_b) in combinations(enumerate(bodies), 2):
         shared = body_a ^ body_b
         smaller = min(body_a.volume(), body_b.volume())
-        if shared.volume() > LARGEST_OVERLAP * smaller:
+        if shared.volume() > LARGEST_OVERLAP * smaller + _tessellation(assembly.pieces[a], assembly.pieces[b]):
             box = np.reshape(shared.bounding_box(), (2, 3))
             size = " x ".join(f"{extent:.4g}" for extent in box[1] - box[0])
             yield (
                 f"pieces {assembly.names[a]!r} and {assembly.names[b]!r}: their goals overlap by {shared.volume():.4g} mm3, "
                 f"{size} mm ({shared.volume() / smaller:.2%} of the smaller)"
             )
+
+
+def _tessellation(first: Workpiece, second: Workpiece) -> float:
+    """Volume [mm3] by which two pieces overlap where facets tile a curved face that they share, each in its own way."""
+    curved = [[(f.area, f.sagitta) for f in piece.facets if f.turn] for piece in (first, second)]
+    if not all(curved):
+        return 0.0
+    depth = sum(max(sagitta for _, sagitta in facets) for facets in curved)
+    return min(sum(area for area, _ in facets) for facets in curved) * depth * 1e9
 
 
 def _sunk(assembly: Assembly) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Convex parts of a workpiece: exact boxes where the mesh is made of boxes, the hull where it is convex."""
+"""Convex polytopes, and the boxes that a mesh may be made of."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, HalfspaceIntersection
 
-from soma_bullet.frames import Array, readonly
+from soma_bullet.frames import Array, Indices, readonly
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,17 +46,34 @@ class Hull:
             box = (centre @ rotation.T + shift, axes @ rotation.T, half)
         return Hull(self.vertices @ rotation.T + shift, normals, self.offsets + normals @ shift, self.edges @ rotation.T, box)
 
-    def inset(self, distance: float) -> Hull:
-        """The polytope with every face moved inwards by `distance` [m]. Raises ValueError where nothing is left."""
-        if distance == 0.0:
+    def inset(self, distance: float, faces: Indices | None = None) -> Hull:
+        """The polytope with its faces, or only those at the indices `faces`, moved inwards by `distance` [m].
+
+        Raises:
+            ValueError: nothing is left.
+        """
+        if distance == 0.0 or (faces is not None and not len(faces)):
             return self
-        if self.box is not None:
+        if self.box is not None and (faces is None or len(faces) == len(self.normals)):
             centre, axes, half = self.box
             if np.any(half <= distance):
                 raise ValueError(f"an inset of {distance * 1e3:g} mm leaves nothing of a box of {2e3 * half.min():g} mm")
             return box_hull(centre, axes, half - distance)
-        planes = np.column_stack([self.normals, -(self.offsets - distance)])
-        return hull_of_points(HalfspaceIntersection(planes, self.vertices.mean(axis=0)).intersections)
+        steps = np.zeros(len(self.normals))
+        steps[slice(None) if faces is None else faces] = distance
+        planes = np.column_stack([self.normals, -(self.offsets - steps)])
+        depth, inside = _deepest_point(planes)
+        if depth <= 1e-9:
+            raise ValueError(f"an inset of {distance * 1e3:g} mm leaves nothing of a polytope")
+        return hull_of_points(HalfspaceIntersection(planes, inside).intersections)
+
+
+def _deepest_point(planes: Array) -> tuple[float, Array]:
+    """Radius [m] and centre (3,) of the largest ball inside half-spaces (f, 4) normal . x + offset <= 0."""
+    result = linprog(
+        (0, 0, 0, -1), A_ub=np.column_stack([planes[:, :3], np.ones(len(planes))]), b_ub=-planes[:, 3], bounds=(None, None)
+    )
+    return (float(result.x[3]), result.x[:3]) if result.success else (0.0, np.zeros(3))
 
 
 def unique_directions(directions: Array, tolerance: float = 1e-4) -> Array:

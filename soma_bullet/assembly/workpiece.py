@@ -8,15 +8,10 @@ from functools import cached_property
 import numpy as np
 import trimesh
 
+from soma_bullet.assembly.decomposition import Decomposition, decompose
 from soma_bullet.assembly.facets import Facet, planar_facets
-from soma_bullet.assembly.hulls import Hull, box_parts, hull_of_points
+from soma_bullet.assembly.hulls import Hull
 from soma_bullet.frames import Array, readonly
-
-CONVEX_TOLERANCE = 1e-4  # relative volume that a hull may add to a mesh that counts as convex
-
-
-class NotDecomposableError(ValueError):
-    """The mesh is neither convex nor made of boxes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,24 +70,20 @@ class Workpiece:
         return planar_facets(self.vertices, self.faces)
 
     @cached_property
-    def parts(self) -> tuple[Hull, ...]:
-        """Convex polytopes in the piece's frame whose union is the nominal body.
+    def decomposition(self) -> Decomposition:
+        """How the nominal body is made of convex parts.
 
         Raises:
-            NotDecomposableError: the mesh is neither made of boxes nor convex.
+            NotDecomposableError: no decomposition is close enough.
         """
-        boxes = box_parts(self.vertices, self.faces, np.array([facet.normal for facet in self.facets]))
-        if boxes:
-            return tuple(boxes)
-        hull = self.mesh.convex_hull
-        if hull.volume > self.mesh.volume * (1 + CONVEX_TOLERANCE):
-            raise NotDecomposableError(
-                f"piece {self.name!r} is neither made of boxes nor convex: "
-                f"its hull has {hull.volume / self.mesh.volume:.3f} x its volume"
-            )
-        return (hull_of_points(np.asarray(self.vertices)),)
+        return decompose(self.vertices, self.faces, self.facets)
+
+    @cached_property
+    def parts(self) -> tuple[Hull, ...]:
+        """Convex polytopes in the piece's frame whose union is the nominal body."""
+        return self.decomposition.parts
 
     @cached_property
     def body_parts(self) -> tuple[Hull, ...]:
-        """Convex polytopes of the real body: `parts` with every face inset by the clearance."""
-        return tuple(part.inset(self.clearance) for part in self.parts)
+        """Convex polytopes of the real body: `parts` with every face of the body inset by the clearance."""
+        return self.decomposition.inset(self.clearance)

@@ -1,4 +1,4 @@
-"""Antipodal grasps on opposite facets (paper Sec. IV-C: find facets, sample them, pair them)."""
+"""Antipodal grasps on opposite facets, flat or of a curved face (paper Sec. IV-C: find facets, sample them, pair them)."""
 
 from __future__ import annotations
 
@@ -14,6 +14,10 @@ from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.frames import Array, Indices, readonly
 from soma_bullet.grasp.hand import Hand
 
+SMALLEST_OVERLAP = 1e-8  # [m2] of opposite faces
+# a line of length l twists with mu F l / 4, a square of that side with mu F l (sqrt(2) + asinh(1)) / 6
+LINE = (1.5 / (np.sqrt(2) + np.arcsinh(1.0))) ** 2
+
 
 @dataclass(frozen=True)
 class SamplingOptions:
@@ -22,7 +26,7 @@ class SamplingOptions:
     Attributes:
         spacing: largest step of the grid on a facet pair's overlap [m].
         rolls: hand orientations about the closing axis.
-        smallest_contact: fraction of the pad that must lie on both facets.
+        smallest_contact: fraction of the pad that must lie on both facets; of its length where they are curved.
         smallest_width: [m] a thinner piece is not gripped.
         opening_margin: [m] a side that must remain between the open hand and the piece.
     """
@@ -81,9 +85,10 @@ def sample_grasps(piece: Workpiece, hand: Hand, options: SamplingOptions | None 
                 continue
             flat = shapely.transform(second.polygon, lambda xy, s=second, f=first: s.lift(xy) @ f.basis.T)
             overlap = first.polygon.intersection(flat)
-            if overlap.area < 1e-8:
+            if overlap.area < SMALLEST_OVERLAP:
                 continue
-            for points, roll, fraction in _pad_placements(overlap, hand.pad_size, options):
+            curved = bool(first.turn or second.turn)
+            for points, roll, fraction in _pad_placements(overlap, hand.pad_size, options, curved):
                 rotation = _orientation(first, roll)
                 for point, part in zip(points, fraction, strict=True):
                     transform = np.eye(4)
@@ -101,8 +106,13 @@ def _orientation(facet: Facet, roll: float) -> Array:
     return np.column_stack([facet.normal, np.cross(approach, facet.normal), approach])
 
 
-def _pad_placements(overlap: shapely.Geometry, pad_size: Array, options: SamplingOptions) -> list[tuple[Array, float, Array]]:
-    """For each roll: grid points (k, 2) on the overlap, the roll [rad], and the fraction of the pad that lies on it (k,)."""
+def _pad_placements(
+    overlap: shapely.Geometry, pad_size: Array, options: SamplingOptions, curved: bool
+) -> list[tuple[Array, float, Array]]:
+    """For each roll: grid points (k, 2) on the overlap, the roll [rad], and the fraction of the pad that lies on it (k,).
+
+    On a curved face a pad touches along a line: its length counts, and as a contact it is worth the patch that twists like it.
+    """
     low, high = np.array(overlap.bounds[:2]), np.array(overlap.bounds[2:])
     axes = [_ticks(low[k], high[k], options.spacing) for k in range(2)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -114,8 +124,13 @@ def _pad_placements(overlap: shapely.Geometry, pad_size: Array, options: Samplin
         roll = 2 * np.pi * k / options.rolls
         turned = np.array(affinity.rotate(pad, roll, origin=(0, 0), use_radians=True).exterior.coords)
         pads = shapely.polygons(turned[None] + grid[:, None])
-        fraction = np.round(shapely.area(shapely.intersection(pads, overlap)) / pad.area, 9)
-        good = fraction >= options.smallest_contact
+        shared = shapely.intersection(pads, overlap)
+        if curved:
+            line = np.minimum(shapely.length(shared) / 2 / pad_size.min(), 1.0)
+            fraction, good = np.round(LINE * line**2, 9), line >= options.smallest_contact
+        else:
+            fraction = np.round(shapely.area(shared) / pad.area, 9)
+            good = fraction >= options.smallest_contact
         placements.append((grid[good], roll, fraction[good]))
     return placements
 

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.hulls import Hull, box_hull, hull_of_points, unique_directions, winding_numbers
 from soma_bullet.assembly.polycubes import Cell, cell_mesh, cell_poses, cube_rotations
-from soma_bullet.assembly.workpiece import NotDecomposableError, Workpiece
+from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.frames import Array, apply, make_transform, readonly
 
 SIDE = 0.0185  # [m]
@@ -160,12 +160,6 @@ def test_a_convex_mesh_is_one_part(mesh: trimesh.Trimesh) -> None:
 def test_boxes_of_unequal_sizes_that_are_not_on_a_grid() -> None:
     tee = trimesh.boolean.union([trimesh.creation.box((0.05, 0.011, 0.007)), trimesh.creation.box((0.013, 0.04, 0.0029))])
     assert union_volume(workpiece(tee).parts) == pytest.approx(tee.volume)
-
-
-def test_what_is_neither_boxes_nor_convex_is_refused_with_the_ratio() -> None:
-    torus = trimesh.creation.torus(0.02, 0.005, major_sections=16, minor_sections=8)
-    with pytest.raises(NotDecomposableError, match=f"{torus.convex_hull.volume / torus.volume:.3f} x"):
-        _ = workpiece(torus).parts
 
 
 def test_directions_are_unique_up_to_sign() -> None:
