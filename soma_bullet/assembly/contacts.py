@@ -95,7 +95,9 @@ def _support_patches(piece: int, facets: Sequence[Facet], height: float, gap: fl
     return _merged(SUPPORT, piece, found)
 
 
-def _pair_patches(a: int, b: int, facets_a: Sequence[Facet], facets_b: Sequence[Facet], gap: float, close: Mask) -> list[Contact]:
+def _pair_patches(
+    a: int, b: int, facets_a: Sequence[Facet], facets_b: Sequence[Facet], gap: float, close: Mask
+) -> list[Contact]:
     normals_a, normals_b = (np.array([f.normal for f in fs]) for fs in (facets_a, facets_b))
     turns_a, turns_b = (np.array([f.turn for f in fs]) for fs in (facets_a, facets_b))
     opposite = normals_a @ normals_b.T < -np.cos(ANGLE_TOLERANCE + (turns_a[:, None] + turns_b) / 2)
@@ -116,7 +118,8 @@ def _flat_patch(first: Facet, second: Facet, gap: float) -> _Patch | None:
     shared = _opened(first.polygon.intersection(_projected(second, first)))
     if shared.area <= SMALLEST_AREA:
         return None
-    return _Patch(first.normal, first.offset, first.lift(shapely.get_coordinates(shared)), shared.area, float(np.median(distances)))
+    corners = first.lift(shapely.get_coordinates(shared))
+    return _Patch(first.normal, first.offset, corners, shared.area, float(np.median(distances)))
 
 
 def _curved_patch(first: Facet, second: Facet, gap: float) -> _Patch | None:

@@ -95,9 +95,10 @@ def decompose(vertices: Array, faces: Array, facets: tuple[Facet, ...]) -> Decom
     if ratio > LARGEST_RATIO or deviation > LARGEST_DEVIATION:
         hull = mesh.convex_hull.volume / mesh.volume
         raise NotDecomposableError(
-            f"is concave (its hull has {hull:.2f} x its volume) and no convex decomposition is close enough: {len(parts)} parts "
-            f"have {ratio:.3f} x its volume and stand out by {deviation * 1e3:.2f} mm; at most {LARGEST_RATIO:g} x and "
-            f"{LARGEST_DEVIATION * 1e3:g} mm are accepted; cut the piece into simpler ones, or model it with fewer inward curves"
+            f"is concave (its hull has {hull:.2f} x its volume) and no convex decomposition is close enough: "
+            f"{len(parts)} parts have {ratio:.3f} x its volume and stand out by {deviation * 1e3:.2f} mm; at most "
+            f"{LARGEST_RATIO:g} x and {LARGEST_DEVIATION * 1e3:g} mm are accepted; cut the piece into simpler ones, or model "
+            "it with fewer inward curves"
         )
     return Decomposition(tuple(parts), "approximate", ratio, deviation, tuple(np.arange(len(p.normals)) for p in parts))
 

@@ -119,7 +119,7 @@ def _merge(normal: Array, offset: float, triangles: Array, bends: list[float]) -
 
 
 def outline_vertices(polygon: BaseGeometry) -> Array:
-    """Corners (n, 2) of the convex hull of a geometry, collinear ones dropped, counter-clockwise; two of a line, one of a point."""
+    """Corners (n, 2) of the convex hull of a geometry, counter-clockwise, collinear ones dropped; a line has two."""
     hull = shapely.orient_polygons(polygon.convex_hull.simplify(1e-6))
     return np.array(hull.exterior.coords[:-1] if isinstance(hull, Polygon) else hull.coords)
 

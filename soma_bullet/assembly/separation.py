@@ -51,6 +51,36 @@ def zonotope_separation(centres: Array, generators: Array, hulls: Sequence[Hull]
     return separation
 
 
+def pair_separation(first: tuple[Array, Array], second: tuple[Array, Array]) -> Array:
+    """Largest gap (a, b) [m] over the separating axes between a zonotopes and b others; negative is a penetration depth.
+
+    Gaps beyond FAR are not told apart.
+
+    Args:
+        first: centres (a, 3) [m] and generators (a, g, 3) [m].
+        second: centres (b, 3) [m] and generators (b, h, 3) [m].
+    """
+    (centre_a, spread_a), (centre_b, spread_b) = first, second
+    gap = np.full((len(centre_a), len(centre_b)), -np.inf)
+    apart = np.linalg.norm(centre_a[:, None] - centre_b, axis=2)
+    near = apart - np.linalg.norm(spread_a, axis=2).sum(1)[:, None] - np.linalg.norm(spread_b, axis=2).sum(1) < FAR
+    gap[~near] = FAR  # their bounding balls are apart
+    i, j = np.nonzero(near)
+    a, b, between = spread_a[i], spread_b[j], centre_b[j] - centre_a[i]
+    own = [np.cross(a[:, p], a[:, q]) for p, q in zip(*np.triu_indices(a.shape[1], 1), strict=True)]
+    own += [np.cross(b[:, p], b[:, q]) for p, q in zip(*np.triu_indices(b.shape[1], 1), strict=True)]
+    own += [np.cross(a[:, p], b[:, q]) for p in range(a.shape[1]) for q in range(b.shape[1])]
+    widest = np.full(len(i), -np.inf)
+    for axis in own:
+        length = np.linalg.norm(axis, axis=1)
+        reach = np.abs(np.einsum("nj,ngj->ng", axis, a)).sum(1) + np.abs(np.einsum("nj,ngj->ng", axis, b)).sum(1)
+        distance = np.abs(np.einsum("nj,nj->n", axis, between)) - reach
+        usable = length > SMALLEST_AXIS
+        widest = np.maximum(widest, np.where(usable, distance / np.where(usable, length, 1.0), -np.inf))
+    gap[i, j] = widest
+    return gap
+
+
 def _cross(a: Array, b: Array) -> Array:
     """Cross products of vectors whose coordinates are the first axis."""
     return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])

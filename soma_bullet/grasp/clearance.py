@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from soma_bullet.assembly.hulls import Hull, box_hull
-from soma_bullet.assembly.separation import plane_separation, zonotope_separation
+from soma_bullet.assembly.separation import pair_separation, plane_separation, zonotope_separation
 from soma_bullet.frames import Array, Mask
 from soma_bullet.grasp.hand import Box, Hand
 
@@ -94,6 +94,15 @@ def _swept_box(box: Box, x_low: Array, x_high: Array, way_out: float) -> tuple[A
     generators[:, 3, 0] = (x_high - x_low) / 2
     generators[:, 4, 2] = way_out / 2
     return centre, generators
+
+
+def hands_clear(first: HandSweep, second: HandSweep) -> Mask:
+    """Which of a swept hands keep their margin to which of b others: bool (a, b)."""
+    clear = np.ones((first.centres.shape[1], second.centres.shape[1]), bool)
+    for box_a in zip(first.centres, first.generators, strict=True):
+        for box_b in zip(second.centres, second.generators, strict=True):
+            clear &= pair_separation(box_a, box_b) > MARGIN
+    return clear
 
 
 def hand_hulls(hand: Hand, T_tcp: Array, width: float) -> list[Hull]:

@@ -16,11 +16,11 @@ from soma_bullet.frames import Array, tangents
 from soma_bullet.grasp.hand import Hand
 from soma_bullet.planner.equilibrium import (
     PYRAMID,
-    RayProgram,
     Sides,
     active_contacts,
     contact_columns,
 )
+from soma_bullet.planner.programs import RayProgram
 
 # A pad's pressure is spread out: four points at the mean distance of a square's points from its centre twist like the patch,
 # (sqrt(2) + asinh(1)) / 6 of its side.

@@ -1,8 +1,8 @@
 """Static equilibrium of a whole placed set, and how much horizontal acceleration it resists.
 
 Every placed piece is free except the held ones; contacts push and rub with action and reaction on every patch. The margin is
-the smallest, over horizontal directions, of the largest acceleration (in g) for which contact forces in equilibrium exist:
-one linear program a direction, maximise t subject to A lambda + w + t D(theta) = 0, lambda >= 0.
+the smallest, over horizontal directions, of the largest acceleration t (in g) for which contact forces in equilibrium exist:
+A lambda + w + t D(theta) = 0, lambda >= 0. These accelerations fill a convex polygon, whose corners are found as needed.
 
 Source of the formulation: E. Whiting, J. Ochsendorf, F. Durand, "Procedural modeling of structurally-sound masonry
 buildings", SIGGRAPH Asia 2009 (rigid blocks, linearised friction).
@@ -12,9 +12,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from functools import lru_cache
+from typing import Literal
 
-import highspy
 import numpy as np
 import shapely
 
@@ -22,6 +22,7 @@ from soma_bullet.assembly.contacts import SUPPORT, Contact
 from soma_bullet.assembly.facets import outline_vertices
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, tangents
+from soma_bullet.planner.programs import LARGEST, PushRegion
 
 Sides = Literal["dropped", "frictionless", "friction"]
 Verdict = Literal["robust", "clearance-dependent", "unstable"]
@@ -30,7 +31,6 @@ SIDE = 0.1  # |n_z| below this is a side contact
 PYRAMID = 12  # sides of the friction pyramid; its radius is the mean of inscribed and circumscribed
 DIRECTIONS = 24  # horizontal directions of the assembly frame
 TIE = 1e-3  # [g] a margin up to this is none
-LARGEST = 1e3  # [g] stands for "no limit"
 
 
 @dataclass(frozen=True)
@@ -78,17 +78,14 @@ def equilibrium_margin(
     lengths = np.array([assembly.pieces[i].radius for i in free])
     masses = np.array([assembly.pieces[i].mass for i in free])
     weights = masses / masses.mean()
-    program = RayProgram(np.hstack(columns) if columns else np.zeros((6 * len(free), 0)), _scaling(lengths))
+    matrix = np.hstack(columns) if columns else np.zeros((6 * len(free), 0))
     gravity = np.zeros((len(free), 6))
     gravity[:, 2] = -weights
-    margins = []
-    for angle in disturbance_angles(assembly, placed):
-        push = np.zeros((len(free), 6))
-        push[:, 0], push[:, 1] = np.cos(angle) * weights, np.sin(angle) * weights
-        margins.append(program.farthest(gravity.ravel(), push.ravel()))
-        if margins[-1] <= 0.0:
-            return 0.0
-    return float(min(margins))
+
+    push = np.zeros((2, len(free), 6))
+    push[0, :, 0] = push[1, :, 1] = weights
+    region = PushRegion(matrix, _scaling(lengths), gravity.ravel(), push.reshape(2, -1), LARGEST)
+    return region.smallest_reach(disturbance_angles(assembly, placed))
 
 
 def active_contacts(assembly: Assembly, placed: frozenset[int], held: frozenset[int], sides: Sides) -> list[Contact]:
@@ -106,16 +103,22 @@ def active_contacts(assembly: Assembly, placed: frozenset[int], held: frozenset[
 
 def contact_columns(contact: Contact, assembly: Assembly, free: Sequence[int], held: frozenset[int], sides: Sides) -> Array:
     """Wrenches (6 * free, m) on the free bodies, about their centres of mass, of unit forces at the patch's corners."""
-    forces = contact_forces(contact, friction_of(contact, assembly), frictionless(contact, held, sides))
-    columns = np.zeros((6 * len(free), len(contact.points) * len(forces)))
-    for body, sign in ((contact.body_b, 1.0), (contact.body_a, -1.0)):
-        if body not in free:
-            continue
+    smooth = frictionless(contact, held, sides)
+    blocks = {body: _wrenches(contact, assembly, body, smooth) for body in (contact.body_a, contact.body_b) if body in free}
+    columns = np.zeros((6 * len(free), next(iter(blocks.values())).shape[1]))
+    for body, block in blocks.items():
         row = 6 * free.index(body)
-        arms = contact.points - assembly.goal_centres[body]
-        columns[row : row + 3] = sign * np.tile(forces.T, len(contact.points))
-        columns[row + 3 : row + 6] = sign * np.cross(arms[:, None], forces[None]).reshape(-1, 3).T
+        columns[row : row + 6] = block
     return columns
+
+
+@lru_cache(maxsize=4096)
+def _wrenches(contact: Contact, assembly: Assembly, body: int, smooth: bool) -> Array:
+    """Wrenches (6, m) on one body of unit forces at the patch's corners."""
+    forces = contact_forces(contact, friction_of(contact, assembly), smooth)
+    arms = contact.points - assembly.goal_centres[body]
+    torques = np.cross(arms[:, None], forces[None]).reshape(-1, 3)
+    return (1.0 if body == contact.body_b else -1.0) * np.vstack([np.tile(forces.T, len(contact.points)), torques.T])
 
 
 def contact_forces(contact: Contact, mu: float, smooth: bool) -> Array:
@@ -164,45 +167,3 @@ def disturbance_angles(assembly: Assembly, placed: frozenset[int]) -> Array:
 def _scaling(lengths: Array) -> Array:
     """Row scales that make torques comparable with forces (6 * bodies,)."""
     return np.concatenate([[1, 1, 1, 1 / r, 1 / r, 1 / r] for r in lengths])
-
-
-class RayProgram:
-    """max t, subject to columns @ lambda + load + t * push = 0, lambda >= 0 (and optional bounds): one model, many rays."""
-
-    def __init__(self, columns: Array, scaling: Array, upper_rows: tuple[Array, Array] | None = None):
-        self.scaling = scaling
-        rows, count = columns.shape
-        extra, limits = upper_rows if upper_rows is not None else (np.zeros((0, count)), np.zeros(0))
-        self.rows = rows
-        matrix = np.vstack([columns * scaling[:, None], extra])
-        program = highspy.HighsLp()
-        program.num_col_, program.num_row_ = count + 1, rows + len(extra)
-        program.col_cost_ = np.concatenate([np.zeros(count), [-1.0]])
-        program.col_lower_ = np.zeros(count + 1)
-        program.col_upper_ = np.concatenate([np.full(count, highspy.kHighsInf), [LARGEST]])
-        program.row_lower_ = np.concatenate([np.zeros(rows), np.full(len(extra), -highspy.kHighsInf)])
-        program.row_upper_ = np.concatenate([np.zeros(rows), limits])
-        column, row = np.nonzero(np.abs(matrix.T) > 1e-12)
-        starts = np.searchsorted(column, np.arange(count + 2))  # the last column is the push, set for each ray
-        program.a_matrix_.format_ = highspy.MatrixFormat.kColwise
-        program.a_matrix_.start_ = starts.astype(np.int32)
-        program.a_matrix_.index_ = row.astype(np.int32)
-        program.a_matrix_.value_ = matrix[row, column]
-        self.solver: Any = highspy.Highs()  # its stubs lack half of its methods
-        self.solver.silent()
-        self.solver.setOptionValue("presolve", "off")
-        self.solver.setOptionValue("threads", 1)
-        self.solver.passModel(program)
-        self.last = count
-
-    def farthest(self, load: Array, push: Array) -> float:
-        """Largest t in [0, LARGEST]; -1 where even t = 0 has no solution. load, push: (rows,)."""
-        bounds = -load * self.scaling
-        every = np.arange(self.rows, dtype=np.int32)
-        self.solver.changeRowsBounds(self.rows, every, bounds, bounds)
-        for row, amount in enumerate(push * self.scaling):
-            self.solver.changeCoeff(row, self.last, float(amount))
-        self.solver.run()
-        if self.solver.getModelStatus() != highspy.HighsModelStatus.kOptimal:
-            return -1.0
-        return float(self.solver.getInfo().objective_function_value) * -1.0

@@ -1,19 +1,30 @@
-"""Every assembly order with its qualities, its held sets and its score (paper Sec. IV-A, F and G)."""
+"""Assembly orders with their qualities, their held sets and their score (paper Sec. IV-A, F and G)."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from soma_bullet.planner.analyzers import PAPER, STEPS, Judgement, step_analyzer
+from soma_bullet.planner.holds import Holds
 from soma_bullet.planner.qualities import Placed, Qualities
+from soma_bullet.planner.search import (
+    FREE,
+    NOTHING,
+    Followed,
+    Support,
+    best_orders,
+    follow,
+    follow_all,
+    score_of,
+)
 
-NOTHING: Placed = frozenset()
-# (cost, held sets so far). Cost: pieces gripped again, held, states that depend on clearance, changes, minus min S. What adds
-# up comes before what takes the least, so that the best way to a held set is part of the best way on from it.
-_Label = tuple[tuple[int, int, int, int, float], list[Placed]]
+Direction = tuple[float, float, float]
+MOST_ENUMERATED = 8  # pieces; beyond, only the best orders are looked for
 
 
 @dataclass(frozen=True)
@@ -29,9 +40,12 @@ class OrderRow:
         types: contact types of the assemblability.
         directions: unit assembly directions; None where there is no way in.
         held: names of the pieces that are held after the step.
-        score: min S * min G * min A.
+        score: min S * min G * min A, and the minima of further analyzers.
         feasible: every step can be done with the hands there are.
-        reason: why not, else empty.
+        reason: why not, with numbers, else empty.
+        blocked_by: the analyzer that says so, else empty.
+        blocked_at: index of the step that fails; the number of steps where none does.
+        extra: values of further analyzers, by name.
     """
 
     order: tuple[str, ...]
@@ -40,11 +54,14 @@ class OrderRow:
     g: tuple[int, ...]
     a: tuple[float, ...]
     types: tuple[str, ...]
-    directions: tuple[tuple[float, float, float] | None, ...]
+    directions: tuple[Direction | None, ...]
     held: tuple[tuple[str, ...], ...]
     score: float
     feasible: bool
     reason: str
+    blocked_by: str = ""
+    blocked_at: int = 0
+    extra: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
     def stable_throughout(self) -> bool:
@@ -52,10 +69,13 @@ class OrderRow:
         return all(value > 0 for value in self.s)
 
 
-def score_of(s: tuple[float, ...], g: tuple[int, ...], a: tuple[float, ...]) -> float:
-    """min S * min G * min A (paper Sec. IV-G); infinity times zero is zero."""
-    factors = (min(s), float(min(g)), min(a))
-    return 0.0 if 0.0 in factors else math.prod(factors)
+@dataclass(frozen=True)
+class Fault:
+    """Why a step cannot be done."""
+
+    step: int
+    stage: str
+    reason: str
 
 
 class Orders:
@@ -63,141 +83,155 @@ class Orders:
 
     def __init__(self, qualities: Qualities):
         self.q = qualities
+        self.holds = Holds(qualities)
         self.names = qualities.assembly.names
-        self.spare = qualities.options.hands - 1
-        self._holds: dict[tuple[Placed, int | None, Placed], bool] = {}
-        self._moves: dict[tuple[Placed, int, Placed, int | None], tuple[Placed, ...]] = {}
+        self.count = len(self.names)
+        self.paper = qualities.options.stability == PAPER
+        self.raw_only = False  # paper mode, where some order is stable throughout: the assisting hand stays away
+        self.analyzers = {name: step_analyzer(name) for name in (*STEPS, *qualities.options.analyzers)}
+        self._steps: dict[tuple[Placed, int], dict[str, Judgement]] = {}
+        self._paper: dict[Placed, tuple[dict[int, float], Placed]] = {}
+
+    # what the search asks
+
+    def insertion(self, placed: Placed, piece: int) -> tuple[float, ...]:
+        """G, A and the values of further analyzers of one insertion."""
+        return tuple(judgement.quality for judgement in self._judged(placed, piece).values())
+
+    def supports(self, before: Placed, piece: int, held: Placed, upcoming: int | None) -> tuple[Support, ...]:
+        """What may be held after `piece` went in. Paper mode: exactly the pieces of zero s (paper Sec. IV-F)."""
+        if not self.paper:
+            return self.holds.supports(before, piece, held, upcoming)
+        placed = before | {piece}
+        values, zeros = self.paper_state(placed)
+        if self._paper_fault(placed, upcoming):
+            return ()
+        if self.raw_only:
+            return (Support(zeros, values[piece], FREE),) if values[piece] > 0.0 else ()
+        return (Support(zeros, min((v for v in values.values() if v > 0.0), default=math.inf), FREE),)
+
+    def bound(self, placed: Placed) -> tuple[float, ...]:
+        """No completion of a placed set reaches larger minima: fewer grasps are left the more is placed."""
+        left = [piece for piece in range(self.count) if piece not in placed]
+        fewest = min((self.insertion(placed, piece)[0] for piece in left), default=math.inf)
+        return (math.inf, fewest, *([math.inf] * (len(self.analyzers) - 1)))
+
+    # rows
 
     def all_rows(self) -> list[OrderRow]:
         """Every order, in lexicographic order of the file's pieces."""
-        return [self.row(order) for order in itertools.permutations(range(len(self.names)))]
+        followed = list(follow_all(self))
+        rows = [self._row(item) for item in followed]
+        if not self.paper or not any(row.feasible and row.stable_throughout for row in rows):
+            return rows
+        self.raw_only = True  # paper Sec. III and IV-G
+        return [self._row(item, raw=True) for item in followed]
 
-    def row(self, order: tuple[int, ...]) -> OrderRow:
+    def best_rows(self, count: int) -> tuple[list[OrderRow], int]:
+        """The best orders, best first, without the others; and how many labels the search made."""
+        if self.paper:
+            self.raw_only = True
+            found, labels = best_orders(self, count, self.bound)
+            if found:
+                return [self._row(Followed(f.order, (0.0, FREE, f.held, f.s), True), raw=True) for f in found], labels
+            self.raw_only = False
+        found, labels = best_orders(self, count, self.bound)
+        return [self._row(Followed(f.order, (f.minima[0], f.cost, f.held, f.s), True)) for f in found], labels
+
+    def row(self, order: Sequence[int]) -> OrderRow:
         """The row of one order (indices of the pieces)."""
-        ways, g = [], []
-        for k, piece in enumerate(order):
-            before = frozenset(order[:k])
-            ways.append(self.q.assemblability(piece, before))
-            g.append(self.q.graspability(piece, before))
-        paper = self.q.options.stability == "paper"
-        s, recomputed, held, reason = self._paper_support(order) if paper else self.equilibrium_support(order)
-        for piece, way, count in zip(order, ways, g, strict=True):
-            if way.direction is None and not reason:
-                by = " and ".join("the support" if k < 0 else self.names[k] for k in way.blockers)
-                reason = f"{self.names[piece]} has no straight way in ({way.type}, blocked by {by})"
-            if count == 0 and not reason:
-                reason = f"{self.names[piece]} has no accessible grasp"
-        a = tuple(way.quality for way in ways)
+        return self._row(follow(self.supports, tuple(order)))
+
+    def _row(self, followed: Followed, raw: bool = False) -> OrderRow:
+        order, (_, _, held, s_held) = followed.order, followed.holds
+        sets = [frozenset(order[:k]) for k in range(len(order) + 1)]
+        judged = [self._judged(sets[k], piece) for k, piece in enumerate(order)]
+        ways = [self.q.assemblability(piece, sets[k]) for k, piece in enumerate(order)]
+        missing = len(order) - len(held)
+        if self.paper:
+            states = [self.paper_state(placed) for placed in sets[1:]]
+            s = tuple(values[piece] for piece, (values, _) in zip(order, states, strict=True))
+            s_held = tuple(min((v for v in values.values() if v > 0.0), default=math.inf) for values, _ in states)
+            held = tuple(zeros for _, zeros in states)
+        else:
+            s = tuple(self.holds.judge(placed).quality for placed in sets[1:])
+            s_held, held = (*s_held, *[0.0] * missing), (*held, *[NOTHING] * missing)
+        fault = self._fault(followed, judged)
+        minima = (min(s if raw else s_held), *(min(step[name].quality for step in judged) for name in self.analyzers))
         return OrderRow(
             order=tuple(self.names[p] for p in order),
-            s=tuple(s),
-            s_recomputed=tuple(recomputed),
-            g=tuple(g),
-            a=a,
+            s=s,
+            s_recomputed=s_held,
+            g=tuple(int(step["graspability"].quality) for step in judged),
+            a=tuple(way.quality for way in ways),
             types=tuple(way.type for way in ways),
-            directions=tuple(None if w.direction is None else tuple((np.round(w.direction, 12) + 0.0).tolist()) for w in ways),
+            directions=tuple(None if w.direction is None else rounded(w.direction) for w in ways),
             held=tuple(tuple(self.names[p] for p in sorted(pieces)) for pieces in held),
-            score=0.0 if reason else score_of(tuple(recomputed), tuple(g), a),
-            feasible=not reason,
-            reason=reason,
+            score=0.0 if fault else score_of(minima),
+            feasible=fault is None,
+            reason=fault.reason if fault else "",
+            blocked_by=fault.stage if fault else "",
+            blocked_at=fault.step if fault else len(order),
+            extra={name: tuple(step[name].quality for step in judged) for name in self.q.options.analyzers},
         )
 
-    def _paper_support(self, order: tuple[int, ...]) -> tuple[list[float], list[float], list[Placed], str]:
-        """Raw and recomputed s, the zero sets Z(S), and what fails (paper Sec. IV-F)."""
-        raw: list[float] = []
-        recomputed: list[float] = []
-        held: list[Placed] = []
-        reason = ""
-        for k, piece in enumerate(order):
-            placed = frozenset(order[: k + 1])
-            values = {j: self.q.paper_stability(j, placed) for j in order[: k + 1]}
-            zeros = frozenset(j for j, value in values.items() if value == 0.0)
-            raw.append(values[piece])
-            recomputed.append(min((v for v in values.values() if v > 0.0), default=math.inf))
-            held.append(zeros)
-            if len(zeros) > self.spare and not reason:
-                lack = f"{len(zeros)} to hold, {self.spare} to spare"
-                reason = f"{self._named(zeros)} would fall in {self._named(placed)}: {lack}"
-            upcoming = order[k + 1] if k + 1 < len(order) else None
-            if not reason and not self._can_hold(placed, upcoming, zeros):
-                reason = f"{self._named(zeros)} cannot be gripped clear of {self._next(upcoming)}"
-        return raw, recomputed, held, reason
+    def _fault(self, followed: Followed, judged: list[dict[str, Judgement]]) -> Fault | None:
+        """The first step that cannot be done."""
+        order, faults = followed.order, []
+        for k, (piece, step) in enumerate(zip(order, judged, strict=True)):
+            for name, judgement in step.items():
+                if not judgement.stands:
+                    faults.append(Fault(k, name, f"{self.names[piece]} into {self._named(order[:k])}: {judgement.reason}"))
+        if not followed.complete:
+            k = len(followed.holds[2])
+            fault = self._paper_fault(frozenset(order[: k + 1]), _next(order, k)) if self.paper else None
+            faults.append(Fault(k, *fault) if fault else self.support_fault(order, k))
+        return min(faults, key=lambda fault: fault.step, default=None)
 
-    def equilibrium_support(self, order: tuple[int, ...]) -> tuple[list[float], list[float], list[Placed], str]:
-        """S without holds, S with them, the set that is held after each step, and what fails (empty where nothing does).
+    def support_fault(self, order: tuple[int, ...], k: int) -> Fault:
+        """Why the state after step k of an order cannot be kept up."""
+        placed, upcoming = frozenset(order[: k + 1]), _next(order, k)
+        before = "the end" if upcoming is None else self.names[upcoming]
+        spare = self.holds.hands - 1 if upcoming is not None else 0
+        sets = map(frozenset, itertools.combinations(sorted(placed), min(spare, k + 1)))
+        some = any(self.holds.judge(placed, held).stands for held in sets)
+        stage = "assisting grasp" if some and upcoming is not None else "stability"
+        return Fault(k, stage, f"{self._named(placed)} falls before {before}: {self.holds.why_not(placed, upcoming)}")
 
-        A piece is not gripped again where it can be avoided. Among such holds the smallest held sets win; then those with the
-        fewest clearance-dependent states; then those with the fewest changes; then those of the best min S.
-        """
-        raw = [self.q.stability(frozenset(order[: k + 1])).quality for k in range(len(order))]
-        labels: dict[Placed, _Label] = {NOTHING: ((0, 0, 0, 0, -math.inf), [])}
-        for k, piece in enumerate(order):
-            upcoming = order[k + 1] if k + 1 < len(order) else None
-            after: dict[Placed, _Label] = {}
-            for before, ((again, count, leaning, changes, worst), path) in labels.items():
-                for held in self.held_after(frozenset(order[:k]), piece, before, upcoming):
-                    state = self.q.stability(frozenset(order[: k + 1]), held)
-                    cost = (
-                        again + len(held - before - {piece}),
-                        count + len(held),
-                        leaning + (state.verdict == "clearance-dependent"),
-                        changes + len(held - before),
-                        max(worst, -state.quality),
-                    )
-                    if held not in after or cost < after[held][0]:
-                        after[held] = (cost, [*path, held])
-            if not after:
-                placed = frozenset(order[: k + 1])
-                path = self._best_path(labels)
-                missing = len(order) - len(path)
-                reason = f"{self._named(placed)} falls whatever {self.spare} hand(s) could hold before {self._next(upcoming)}"
-                return raw, self._with_holds(order, path) + [0.0] * missing, path + [NOTHING] * missing, reason
-            labels = after
-        path = self._best_path(labels)
-        return raw, self._with_holds(order, path), path, ""
+    def _judged(self, placed: Placed, piece: int) -> dict[str, Judgement]:
+        key = (placed, piece)
+        if key not in self._steps:
+            self._steps[key] = {name: analyse(self.q, placed, piece) for name, analyse in self.analyzers.items()}
+        return self._steps[key]
 
-    def _best_path(self, labels: dict[Placed, _Label]) -> list[Placed]:
-        return min(labels.values(), key=lambda label: label[0])[1]
+    def paper_state(self, placed: Placed) -> tuple[dict[int, float], Placed]:
+        """s of every placed piece, and the zero set Z(S) (paper Sec. IV-F)."""
+        if placed not in self._paper:
+            values = {piece: self.q.paper_stability(piece, placed) for piece in sorted(placed)}
+            self._paper[placed] = values, frozenset(piece for piece, value in values.items() if value == 0.0)
+        return self._paper[placed]
 
-    def _with_holds(self, order: tuple[int, ...], path: list[Placed]) -> list[float]:
-        return [self.q.stability(frozenset(order[: k + 1]), held).quality for k, held in enumerate(path)]
+    def _paper_fault(self, placed: Placed, upcoming: int | None) -> tuple[str, str] | None:
+        """Stage and reason why the zero set cannot be held, or None. The paper's "less than" is read as "at most"."""
+        _, zeros = self.paper_state(placed)
+        spare = self.holds.hands - 1
+        if len(zeros) > spare:
+            lack = f"{len(zeros)} to hold, {spare} to spare"
+            return "stability", f"{self._named(zeros)} would fall in {self._named(placed)}: {lack}"
+        if self.holds.can_hold(placed, upcoming, zeros):
+            return None
+        before = "the end" if upcoming is None else self.names[upcoming]
+        return "assisting grasp", f"{self._named(zeros)} in {self._named(placed)} cannot be gripped clear of {before}"
 
-    def held_after(self, before: Placed, piece: int, held: Placed, upcoming: int | None) -> tuple[Placed, ...]:
-        """Held sets that can be reached after `piece` went in, so that a hand is free for the next piece.
-
-        A hand may let go, or take another piece, only while what remains held keeps the state from being unstable.
-        """
-        key = (before, piece, held, upcoming)
-        if key in self._moves:
-            return self._moves[key]
-        placed = before | {piece}
-        start = held | {piece}
-        seen, stack = {start}, [start]
-        while stack:
-            current = stack.pop()
-            options = [current - {j} for j in current]
-            if len(current) <= self.spare:
-                options += [current | {j} for j in placed - current]
-            for option in options:
-                if option not in seen and self.q.stability(placed, option).verdict != "unstable":
-                    seen.add(option)
-                    stack.append(option)
-        limit = self.spare if upcoming is not None else 0
-        reached = [h for h in seen if len(h) <= limit and self._can_hold(placed, upcoming, h)]
-        reached = [h for h in reached if self.q.stability(placed, h).verdict != "unstable"]
-        self._moves[key] = tuple(sorted(reached, key=lambda h: (len(h), sorted(h))))
-        return self._moves[key]
-
-    def _can_hold(self, placed: Placed, upcoming: int | None, held: Placed) -> bool:
-        """Whether each piece of `held` has an assisting grasp clear of the next piece and its way in."""
-        key = (placed, upcoming, held)
-        if key not in self._holds:
-            direction = None if upcoming is None else self.q.assemblability(upcoming, placed).direction
-            self._holds[key] = all(len(self.q.assisting(piece, placed, upcoming, direction)) for piece in held)
-        return self._holds[key]
-
-    def _named(self, pieces: Placed) -> str:
+    def _named(self, pieces: Sequence[int] | Placed) -> str:
         return "{" + ", ".join(self.names[p] for p in sorted(pieces)) + "}"
 
-    def _next(self, upcoming: int | None) -> str:
-        return "the end" if upcoming is None else self.names[upcoming]
+
+def rounded(direction: np.ndarray) -> Direction:
+    """A direction (3,) as plain numbers, without the last digits."""
+    x, y, z = (float(v) for v in np.round(direction, 12) + 0.0)
+    return x, y, z
+
+
+def _next(order: tuple[int, ...], k: int) -> int | None:
+    return order[k + 1] if k + 1 < len(order) else None

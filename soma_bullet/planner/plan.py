@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,11 +12,17 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError, NoSolutionError
 from soma_bullet.frames import Array, to_quat_xyzw
 from soma_bullet.grasp.hand import Hand
+from soma_bullet.planner.assist import HoldCertificate, certify_hold
 from soma_bullet.planner.equilibrium import TIE
-from soma_bullet.planner.orders import OrderRow, Orders, score_of
+from soma_bullet.planner.orders import MOST_ENUMERATED, OrderRow, Orders, rounded
 from soma_bullet.planner.qualities import Placed, PlannerOptions, Qualities, way_length
+from soma_bullet.planner.search import follow
 from soma_bullet.records import package_versions
 
+TIES = 16  # orders that are looked for beyond MOST_ENUMERATED, so that ties show
+SAMPLES = 200  # orders whose failure is reported there where none is possible
+CERTIFIED = 4  # grasps of a hold, those with the most contact, that are certified before all of them
+SMALLEST_MARGIN = 1.0  # of a certificate
 TURNS = 12  # rotations of the friction pyramid over which paper mode's sensitivity is taken
 
 
@@ -43,12 +49,18 @@ class Hold:
 
     Attributes:
         piece: its name.
-        grasps: indices of the assisting grasps in the piece's table: clear of the placed set, the support and the way of the
-            next piece.
+        grasps: indices of the assisting grasps in the piece's table: clear of the placed set, the support, the next piece, its
+            way and the hand that brings it.
+        taken: the hand takes a placed piece; otherwise it stays on what it put down, or goes on holding.
+        grasp: index of the assisting grasp with the largest margin among those that were certified.
+        certificate: what that grasp can take.
     """
 
     piece: str
     grasps: tuple[int, ...]
+    taken: bool
+    grasp: int
+    certificate: HoldCertificate
 
 
 @dataclass(frozen=True)
@@ -74,6 +86,21 @@ class PlanStep:
     verdict: str
     margin: float
     margin_sides: float
+
+
+@dataclass(frozen=True)
+class PlannedOrder:
+    """An order worked out step by step.
+
+    Attributes:
+        order: names of the pieces, first to last.
+        score: min S * min G * min A.
+        steps: one for each piece.
+    """
+
+    order: tuple[str, ...]
+    score: float
+    steps: tuple[PlanStep, ...]
 
 
 @dataclass(frozen=True)
@@ -103,11 +130,16 @@ class AssemblyPlan:
         hand: name of the hand.
         options: how it was judged.
         order: names of the pieces, first to last.
+        score: of the order.
         steps: one for each piece of the order.
+        alternatives: the next best orders, where more than one was asked for.
         grasps: one table a piece.
-        orders: the row of every order, best first.
+        orders: the row of every order, best first; of more than MOST_ENUMERATED pieces the best orders alone. Their holds are
+            certified in the chosen order and its alternatives only.
+        optimality: what the search guarantees.
         ties: orders whose score equals the best one's.
         warnings: sentences.
+        passed_over: orders that scored better and cannot be built, with the reason.
         sensitivity: paper mode only.
         versions: packages that the numbers depend on.
     """
@@ -117,125 +149,197 @@ class AssemblyPlan:
     hand: str
     options: PlannerOptions
     order: tuple[str, ...]
+    score: float
     steps: tuple[PlanStep, ...]
+    alternatives: tuple[PlannedOrder, ...]
     grasps: tuple[GraspTable, ...]
     orders: tuple[OrderRow, ...]
+    optimality: str
     ties: tuple[tuple[str, ...], ...]
     warnings: tuple[str, ...]
+    passed_over: tuple[str, ...]
     sensitivity: tuple[Sensitivity, ...]
     versions: dict[str, str]
 
 
+class NoPlanError(NoSolutionError):
+    """No order can be built. Carries the rows of the orders, which say why."""
+
+    def __init__(self, summary: str, reasons: Counter[str], rows: tuple[OrderRow, ...]):
+        super().__init__("plan", summary, reasons)
+        self.rows = rows
+
+
 def make_plan(
-    assembly: Assembly, hand: Hand, options: PlannerOptions | None = None, excluded: frozenset[tuple[str, ...]] = frozenset()
+    assembly: Assembly,
+    hand: Hand,
+    options: PlannerOptions | None = None,
+    excluded: frozenset[tuple[str, ...]] = frozenset(),
+    qualities: Qualities | None = None,
 ) -> AssemblyPlan:
-    """Evaluate every order and return the best, with all that a dual-arm task needs.
+    """Find the best order, with all that a dual-arm task needs.
 
     Args:
         excluded: orders that a later stage found impossible.
+        qualities: of the same assembly, hand and options, to share what was evaluated.
 
     Raises:
-        InputError: the finished assembly cannot stand.
-        NoSolutionError: no order is feasible; carries what blocked, most frequent first.
+        InputError: the finished assembly cannot stand, or an analyzer is not known.
+        NoPlanError: no order is feasible; carries what blocked, most frequent first.
     """
     options = options or PlannerOptions()
-    qualities = Qualities(assembly, hand, options)
-    _check_final(assembly, qualities)
+    if options.hands < 1 or options.top < 1:
+        raise InputError("options", f"hands ({options.hands}) and top ({options.top}) must be at least 1")
+    qualities = qualities or Qualities(assembly, hand, options)
     orders = Orders(qualities)
-    rows = orders.all_rows()
-    if options.stability == "paper":
-        rows = _paper_scores(rows)
-    ranked = sorted(rows, key=lambda row: (not row.feasible, -row.score))
+    _check_final(assembly, orders)
+    refusals: list[str] = []
+    while True:
+        try:
+            return _plan(orders, options, excluded, refusals)
+        except _RefusedHold as refused:  # the orders are ranked anew without it
+            refusals.append(str(refused))
+
+
+class _RefusedHold(Exception):
+    """A hold that the search counted on, and that no grasp can take."""
+
+
+def _plan(orders: Orders, options: PlannerOptions, excluded: frozenset[tuple[str, ...]], refusals: list[str]) -> AssemblyPlan:
+    qualities, assembly = orders.q, orders.q.assembly
+    ranked, optimality = _ranked(orders, options.top, excluded)
     candidates = [row for row in ranked if row.feasible and row.score > 0 and row.order not in excluded]
     if not candidates:
-        reasons = Counter(row.reason or "score 0" for row in rows if row.order not in excluded)
-        raise NoSolutionError("plan", f"none of the {len(rows)} orders of {assembly.name} can be built", reasons)
-    best = candidates[0]
-    ties = [row for row in candidates if math.isclose(row.score, best.score, rel_tol=1e-9)]
+        reasons = Counter(row.reason or "score 0" for row in ranked if row.order not in excluded)
+        what = f"none of the {len(ranked)} orders" if ranked else "no order"
+        raise NoPlanError(f"{what} of {assembly.name} can be built", reasons + Counter(refusals), tuple(ranked))
+    ties = [row for row in candidates if math.isclose(row.score, candidates[0].score, rel_tol=1e-9)]
     first = ties[int(np.random.default_rng(options.seed).integers(len(ties)))]
-    chosen, steps, passed_over = _first_buildable(orders, [first, *(row for row in candidates if row is not first)])
-    paper = options.stability == "paper"
+    planned: list[PlannedOrder] = []
+    passed_over: list[str] = []
+    for row in [first, *(row for row in candidates if row is not first)]:
+        order = tuple(orders.names.index(name) for name in row.order)
+        followed = follow(orders.holds.supports, order)
+        if followed.complete:
+            planned.append(PlannedOrder(row.order, row.score, _steps(orders, order, followed.holds[2])))
+        else:  # paper mode alone: it may count on states that fall
+            fault = orders.support_fault(order, len(followed.holds[2]))
+            passed_over.append(f"{' <- '.join(row.order)} (score {row.score:.4g}): {fault.reason}")
+        if len(planned) == options.top:
+            break
+    if not planned:
+        raise NoPlanError("no order stands with the hands there are", Counter(passed_over), tuple(ranked))
+    chosen = next(row for row in candidates if row.order == planned[0].order)
     return AssemblyPlan(
         assembly=assembly.name,
         digest=assembly.digest,
-        hand=hand.name,
+        hand=qualities.hand.name,
         options=options,
         order=chosen.order,
-        steps=steps,
+        score=chosen.score,
+        steps=planned[0].steps,
+        alternatives=tuple(planned[1:]),
         grasps=tuple(_table(qualities, k) for k in range(len(assembly.pieces))),
         orders=tuple(ranked),
+        optimality=optimality,
         ties=tuple(row.order for row in ties) if len(ties) > 1 else (),
-        warnings=(*passed_over, *(_false_stable(qualities, rows) if paper else ())),
-        sensitivity=tuple(_sensitivity(qualities, chosen)) if paper else (),
+        warnings=(*_approximations(assembly), *(_false_stable(orders, ranked) if orders.paper else ())),
+        passed_over=(*refusals, *passed_over),
+        sensitivity=tuple(_sensitivity(qualities, chosen)) if orders.paper else (),
         versions=package_versions(),
     )
 
 
-def _paper_scores(rows: list[OrderRow]) -> list[OrderRow]:
-    """Where an order is stable throughout, the assisting hand stays away and raw s counts (paper Sec. III and IV-G)."""
-    if not any(row.feasible and row.stable_throughout for row in rows):
-        return rows
-    return [replace(row, score=score_of(row.s, row.g, row.a) if row.feasible else 0.0) for row in rows]
+def _ranked(orders: Orders, top: int, excluded: frozenset[tuple[str, ...]]) -> tuple[list[OrderRow], str]:
+    """Rows, best first, and what the search guarantees."""
+    if orders.count <= MOST_ENUMERATED:
+        rows = orders.all_rows()
+        return sorted(rows, key=lambda row: (not row.feasible, -row.score)), f"exact: all {len(rows)} orders were compared"
+    rows, labels = orders.best_rows(max(top, TIES) + len(excluded))
+    how = f"exact: a search over subsets with {labels} labels; no order scores better, and the best {len(rows)} are listed"
+    if rows:
+        return rows, how
+    # every way ends somewhere: say where the ways of some orders do
+    samples = np.random.default_rng(0).permuted(np.tile(np.arange(orders.count), (SAMPLES, 1)), axis=1)
+    return [orders.row(tuple(int(k) for k in order)) for order in np.unique(samples, axis=0)], how
 
 
-def _check_final(assembly: Assembly, qualities: Qualities) -> None:
+def _check_final(assembly: Assembly, orders: Orders) -> None:
     everything = frozenset(range(len(assembly.pieces)))
-    final = qualities.stability(everything)
-    if final.verdict != "unstable":
+    final = orders.holds.judge(everything)
+    if final.stands:
         return
-    saved = [assembly.names[k] for k in everything if qualities.stability(everything, frozenset({k})).verdict != "unstable"]
+    saved = [assembly.names[k] for k in sorted(everything) if orders.holds.judge(everything, frozenset({k})).stands]
     hint = f"holding {' or '.join(saved)} would keep it up" if saved else "no single hold would keep it up"
     raise InputError(
-        assembly.name,
-        f"the finished assembly is not stable: it resists {final.margin:.3f} g without and {final.margin_sides:.3f} g with "
-        f"side contacts, and must resist more than {TIE:g} g; {hint}",
+        assembly.name, f"the finished assembly is not stable: it {final.reason}, and must resist more than {TIE:g} g; {hint}"
     )
 
 
-def _first_buildable(orders: Orders, candidates: list[OrderRow]) -> tuple[OrderRow, tuple[PlanStep, ...], list[str]]:
-    """The first order that stands in equilibrium with the hands there are, its steps, and a sentence for each passed over.
-
-    Only paper mode passes any over: it may count on states that fall.
-    """
-    reasons: list[str] = []
-    for row in candidates:
-        order = tuple(orders.names.index(name) for name in row.order)
-        _, _, held, reason = orders.equilibrium_support(order)
-        if not reason:
-            named = " <- ".join(row.order)
-            return row, _steps(orders.q, order, held), [f"passed over for {named}: {text}" for text in reasons]
-        reasons.append(f"{' <- '.join(row.order)} (score {row.score:.4g}): {reason}")
-    raise NoSolutionError("plan", "no order stands with the hands there are", Counter(reasons))
-
-
-def _steps(qualities: Qualities, order: tuple[int, ...], held: list[Placed]) -> tuple[PlanStep, ...]:
-    """Steps of an order, with the holds that equilibrium asks for in either mode."""
-    assembly = qualities.assembly
+def _steps(orders: Orders, order: tuple[int, ...], held: tuple[Placed, ...]) -> tuple[PlanStep, ...]:
+    """Steps of an order with its holds. Raises _RefusedHold."""
+    qualities, assembly = orders.q, orders.q.assembly
     steps = []
     for k, piece in enumerate(order):
         before, placed = frozenset(order[:k]), frozenset(order[: k + 1])
         upcoming = order[k + 1] if k + 1 < len(order) else None
-        next_direction = None if upcoming is None else qualities.assemblability(upcoming, placed).direction
         way = qualities.assemblability(piece, before)
         assert way.direction is not None
         state = qualities.stability(placed, held[k])
+        in_hand = {piece} | (held[k - 1] if k else frozenset())
+        holds = [_hold(orders, placed, j, upcoming, state.verdict, j not in in_hand) for j in sorted(held[k])]
         steps.append(
             PlanStep(
                 piece=assembly.names[piece],
-                direction=tuple((np.round(way.direction, 12) + 0.0).tolist()),
+                direction=rounded(way.direction),
                 way=way_length(assembly, piece, way.direction),
                 type=way.type,
                 grasps=tuple(int(i) for i in qualities.accessible(piece, before)),
-                holds=tuple(
-                    Hold(assembly.names[j], tuple(int(i) for i in qualities.assisting(j, placed, upcoming, next_direction)))
-                    for j in sorted(held[k])
-                ),
+                holds=tuple(holds),
                 verdict=state.verdict,
                 margin=state.margin,
                 margin_sides=state.margin_sides,
             )
         )
     return tuple(steps)
+
+
+def _hold(orders: Orders, placed: Placed, piece: int, upcoming: int | None, verdict: str, taken: bool) -> Hold:
+    """A hold with the certificate of the best of some of its grasps. Raises _RefusedHold where none can take the load."""
+    qualities, assembly = orders.q, orders.q.assembly
+    direction = None if upcoming is None else qualities.assemblability(upcoming, placed).direction
+    indices, table = qualities.assisting(piece, placed, upcoming, direction), qualities.grasps(piece)
+    load = qualities.options.load
+    firmest = indices[np.argsort(-table.contact[indices], kind="stable")]
+    best: tuple[HoldCertificate, int] | None = None
+    for few in (firmest[:CERTIFIED], firmest[CERTIFIED:]):
+        for index in few:
+            certificate = certify_hold(
+                assembly, qualities.hand, placed, piece, assembly.goals[piece] @ table.Ts_piece_tcp[index],
+                "dropped" if verdict == "robust" else "frictionless", upcoming, direction,
+                load, float(table.contact[index]),
+            )  # fmt: skip
+            if best is None or certificate.margin > best[0].margin:
+                best = certificate, int(index)
+        if best is not None and best[0].margin >= SMALLEST_MARGIN:
+            return Hold(assembly.names[piece], tuple(int(i) for i in indices), taken, best[1], best[0])
+    orders.holds.refuse(placed, piece, upcoming)
+    state = ", ".join(assembly.names[k] for k in sorted(placed))
+    margin = 0.0 if best is None else best[0].margin
+    raise _RefusedHold(
+        f"holding {assembly.names[piece]} in {{{state}}}: the best of {len(indices)} grasps takes {margin:.2f} x the load "
+        f"({load.push:g} N of the next insertion, {load.disturbance:g} g sideways), and must take {SMALLEST_MARGIN:g} x"
+    )
+
+
+def _approximations(assembly: Assembly) -> list[str]:
+    """Pieces whose collision parts are not exact."""
+    return [
+        f"{piece.name} curves inwards: its collision parts have {piece.decomposition.volume_ratio:.3f} x its volume and stand "
+        f"out by up to {piece.decomposition.deviation * 1e3:.2f} mm"
+        for piece in assembly.pieces
+        if piece.decomposition.kind == "approximate"
+    ]
 
 
 def _table(qualities: Qualities, piece: int) -> GraspTable:
@@ -248,16 +352,16 @@ def _states(rows: list[OrderRow]) -> list[tuple[str, ...]]:
     return sorted({tuple(sorted(row.order[: k + 1])) for row in rows for k in range(len(row.order))}, key=lambda s: (len(s), s))
 
 
-def _false_stable(qualities: Qualities, rows: list[OrderRow]) -> list[str]:
+def _false_stable(orders: Orders, rows: list[OrderRow]) -> list[str]:
     """States that the paper's measure calls stable and that fall all the same: pieces that lean on each other."""
     warnings = []
     for state in _states(rows):
-        placed: Placed = frozenset(qualities.assembly.index(name) for name in state)
-        values = [qualities.paper_stability(j, placed) for j in sorted(placed)]
-        if min(values) > 0 and qualities.stability(placed).verdict == "unstable":
-            listed = ", ".join(f"{qualities.assembly.names[j]} {v:.3f}" for j, v in zip(sorted(placed), values, strict=True))
+        placed: Placed = frozenset(orders.names.index(name) for name in state)
+        values, zeros = orders.paper_state(placed)
+        if not zeros and not orders.holds.judge(placed).stands:
+            listed = ", ".join(f"{orders.names[j]} {value:.3f}" for j, value in values.items())
             warnings.append(
-                f"paper mode calls {{{', '.join(qualities.assembly.names[j] for j in sorted(placed))}}} stable ({listed}), "
+                f"paper mode calls {{{', '.join(orders.names[j] for j in values)}}} stable ({listed}), "
                 "but it falls: its pieces cannot all be in equilibrium at once"
             )
     return warnings

@@ -5,23 +5,24 @@ Qualities depend on the placed set and the piece alone, so that n! orders share 
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from soma_bullet.assembly.contacts import SUPPORT
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, Indices, Mask
-from soma_bullet.grasp.clearance import clear_of_piece, clear_of_scene, sweep_hand
+from soma_bullet.grasp.clearance import HandSweep, clear_of_piece, clear_of_scene, hands_clear, sweep_hand
 from soma_bullet.grasp.hand import Hand
 from soma_bullet.grasp.sampling import GraspSet, SamplingOptions, sample_grasps
 from soma_bullet.planner.assemblability import Assemblability, analyse_assemblability
+from soma_bullet.planner.assist import HoldLoad
 from soma_bullet.planner.equilibrium import StateStability, classify, friction_of
 from soma_bullet.planner.paper_stability import contact_wrenches, wrench_margin
 
-Mode = Literal["equilibrium", "paper"]
 Placed = frozenset[int]
+SPREAD = 12  # grasps of an incoming hand that are tried before all of them
 
 
 @dataclass(frozen=True)
@@ -29,15 +30,22 @@ class PlannerOptions:
     """How the planner judges.
 
     Attributes:
-        stability: `equilibrium` (the whole placed set at once) or `paper` (one piece against fixed neighbours).
+        stability: `equilibrium` (the whole placed set at once), `paper` (one piece against fixed neighbours), or an analyzer of
+            your own, as `module:function` (see soma_bullet.planner.analyzers).
         hands: hands of the robot; one inserts, the others may hold.
         seed: breaks exact ties of score.
+        top: how many of the best orders are worked out step by step.
+        analyzers: further analyzers of steps, as `module:function`; their smallest values are factors of the score.
+        load: what a hold must resist beside gravity.
         sampling: how grasps are sampled.
     """
 
-    stability: Mode = "equilibrium"
+    stability: str = "equilibrium"
     hands: int = 2
     seed: int = 0
+    top: int = 1
+    analyzers: tuple[str, ...] = ()
+    load: HoldLoad = HoldLoad()
     sampling: SamplingOptions = SamplingOptions()
 
 
@@ -51,6 +59,8 @@ class Qualities:
         self._grasps: dict[int, GraspSet] = {}
         self._clear: dict[tuple[int, int], Mask] = {}
         self._ways: dict[tuple[int, Placed], Assemblability] = {}
+        self._accessible: dict[tuple[int, Placed], Indices] = {}
+        self._assisting: dict[tuple[int, Placed, int | None], Indices] = {}
 
     def paper_stability(self, piece: int, placed: Placed, turn: float = 0.0) -> float:
         """s of `piece` in the placed set (that contains it), by the paper's wrench set. Unit: weights of the piece."""
@@ -82,10 +92,13 @@ class Qualities:
 
     def accessible(self, piece: int, placed: Placed) -> Indices:
         """Indices of the grasps of `piece` at its goal whose hand and way out are clear of the placed set and the support."""
-        clear = self._clear_of(piece, SUPPORT).copy()
-        for other in sorted(placed - {piece}):
-            clear &= self._clear_of(piece, other)
-        return np.flatnonzero(clear)
+        key = (piece, placed - {piece})
+        if key not in self._accessible:
+            clear = self._clear_of(piece, SUPPORT).copy()
+            for other in sorted(placed - {piece}):
+                clear &= self._clear_of(piece, other)
+            self._accessible[key] = np.flatnonzero(clear)
+        return self._accessible[key]
 
     def graspability(self, piece: int, placed: Placed) -> int:
         """G: the number of accessible grasps (paper Sec. IV-C)."""
@@ -105,20 +118,75 @@ class Qualities:
             )
         return self._ways[key]
 
+    def why_no_grasp(self, piece: int, placed: Placed) -> str:
+        """How many grasps of `piece` each body in the placed set is in the way of."""
+        count = len(self.grasps(piece))
+        if not count:
+            return "no pair of its opposite faces lets the hand close on it"
+        names = {SUPPORT: "the support"} | dict(enumerate(self.assembly.names))
+        blocked = {names[k]: int((~self._clear_of(piece, k)).sum()) for k in (SUPPORT, *sorted(placed - {piece}))}
+        ranked = sorted(((hits, name) for name, hits in blocked.items() if hits), key=lambda item: -item[0])
+        return f"of {count} " + ", ".join(f"{hits} hit {name}" for hits, name in ranked)
+
     def assisting(self, piece: int, placed: Placed, upcoming: int | None, direction: Array | None) -> Indices:
         """Indices of the grasps that may hold a placed piece while the next one comes in (paper Sec. IV-F).
 
-        They are accessible, and clear of the next piece at its goal and along its whole way in.
+        They are accessible, clear of the next piece at its goal and along its whole way in, and clear of the hand that brings
+        it, for at least one of its grasps (the paper leaves hand against hand open).
         """
+        key = (piece, placed, upcoming)
+        if key not in self._assisting:
+            self._assisting[key] = self._find_assisting(piece, placed, upcoming, direction)
+        return self._assisting[key]
+
+    def _find_assisting(self, piece: int, placed: Placed, upcoming: int | None, direction: Array | None) -> Indices:
         indices = self.accessible(piece, placed)
         if upcoming is None or direction is None or not len(indices):
             return indices
-        goal = self.assembly.goals[piece]
-        chosen = self.grasps(piece).take(indices)
-        way = way_length(self.assembly, upcoming, direction)
+        way = direction * way_length(self.assembly, upcoming, direction)
         # the hand seen from the incoming piece moves along the direction: sweep the hand instead of the piece
-        sweep = sweep_hand(self.hand, goal @ chosen.Ts_piece_tcp, chosen.widths, way_out=0.0, sweep=direction * way)
-        return indices[clear_of_scene(sweep, self.assembly.goal_parts[upcoming], None)]
+        indices = indices[clear_of_scene(self._holding(piece, indices, way), self.assembly.goal_parts[upcoming], None)]
+        inserting, clear = self.accessible(upcoming, placed), np.zeros(len(indices), bool)
+        for few in (inserting[:: max(1, len(inserting) // SPREAD)], inserting):  # a few that are spread out mostly suffice
+            left = np.flatnonzero(~clear)
+            if not len(left) or not len(few):
+                break
+            arriving = self._arriving(upcoming, few, way)
+            clear[left] = hands_clear(self._holding(piece, indices[left]), arriving).any(axis=1)
+        return indices[clear]
+
+    def together(self, held: Placed, placed: Placed, upcoming: int | None, direction: Array | None) -> bool:
+        """Whether several hands can hold several pieces at once: with grasps clear of each other and of the incoming hand."""
+        pieces = sorted(held)
+        chosen = [self.assisting(k, placed, upcoming, direction) for k in pieces]
+        chosen = [indices[:: max(1, len(indices) // (2 * SPREAD))] for indices in chosen]
+        sweeps = [self._holding(k, indices) for k, indices in zip(pieces, chosen, strict=True)]
+        if upcoming is not None and direction is not None:
+            inserting = self.accessible(upcoming, placed)
+            few = inserting[:: max(1, len(inserting) // (2 * SPREAD))]
+            sweeps.append(self._arriving(upcoming, few, direction * way_length(self.assembly, upcoming, direction)))
+        clear = {(i, j): hands_clear(sweeps[i], sweeps[j]) for i, j in itertools.combinations(range(len(sweeps)), 2)}
+
+        def extend(picked: list[int]) -> bool:
+            k = len(picked)
+            if k == len(sweeps):
+                return True
+            fits = np.ones(sweeps[k].centres.shape[1], bool)
+            for earlier, index in enumerate(picked):
+                fits &= clear[earlier, k][index]
+            return any(extend([*picked, int(index)]) for index in np.flatnonzero(fits))
+
+        return extend([])
+
+    def _holding(self, piece: int, indices: Indices, sweep: Array | None = None) -> HandSweep:
+        """The hand as it holds a placed piece with some of its grasps."""
+        chosen = self.grasps(piece).take(indices)
+        return sweep_hand(self.hand, self.assembly.goals[piece] @ chosen.Ts_piece_tcp, chosen.widths, way_out=0.0, sweep=sweep)
+
+    def _arriving(self, piece: int, indices: Indices, way: Array) -> HandSweep:
+        """The hand as it brings a piece along its way (3,) [m], lets go and leaves."""
+        chosen = self.grasps(piece).take(indices)
+        return sweep_hand(self.hand, self.assembly.goals[piece] @ chosen.Ts_piece_tcp, chosen.widths, sweep=-way)
 
     def _clear_of(self, piece: int, other: int) -> Mask:
         """Which grasps of `piece` keep the hand and its way out clear of one other piece, or of the support: bool (n,)."""

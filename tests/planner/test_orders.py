@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 from typing import Any
@@ -16,9 +17,10 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.grasp.hand import Hand
 from soma_bullet.planner.assemblability import Assemblability
 from soma_bullet.planner.equilibrium import StateStability
-from soma_bullet.planner.orders import NOTHING, Orders, score_of
+from soma_bullet.planner.orders import Orders
 from soma_bullet.planner.plan import make_plan
 from soma_bullet.planner.qualities import PlannerOptions
+from soma_bullet.planner.search import NOTHING, follow, score_of
 
 ROBUST, LEANING, FALLS = (
     StateStability("robust", 0.5, 0.5), StateStability("clearance-dependent", 0.0, 0.3), StateStability("unstable", 0.0, 0.0),
@@ -58,27 +60,35 @@ class Table:
     def graspability(self, piece: int, placed: frozenset[int]) -> int:
         return 10 + piece
 
+    def together(self, held: frozenset[int], *_: Any) -> bool:
+        return True
+
+    def accessible(self, piece: int, placed: frozenset[int]) -> list[int]:
+        return [0]
+
     def assisting(self, piece: int, placed: frozenset[int], upcoming: int | None, direction: Any) -> list[int]:
         return [] if upcoming is not None and ("abcd"[piece], "abcd"[upcoming]) in self.ungraspable else [0]
 
 
 def held(table: Table, order: str) -> tuple[list[str], str]:
-    """What is held after each step, and what fails."""
-    _, _, sets, reason = Orders(table).equilibrium_support(tuple("abcd".index(p) for p in order))
-    return ["".join("abcd"[k] for k in sorted(s)) for s in sets], reason
+    """What is held after each step as far as the order goes, and what fails."""
+    orders, indices = Orders(table), tuple("abcd".index(p) for p in order)  # type: ignore[arg-type]
+    followed = follow(orders.supports, indices)
+    reason = "" if followed.complete else orders.support_fault(indices, len(followed.holds[2])).reason
+    return ["".join("abcd"[k] for k in sorted(s)) for s in followed.holds[2]], reason
 
 
 def test_score_is_the_product_of_the_smallest() -> None:
-    assert score_of((0.5, 0.2), (7, 3), (1.0, 0.1)) == pytest.approx(0.2 * 3 * 0.1)
+    assert score_of((0.2, 3.0, 0.1)) == pytest.approx(0.2 * 3 * 0.1)
 
 
 @pytest.mark.parametrize(
-    ("s", "g", "a", "score"),
-    [((math.inf, 2.0), (3,), (math.inf,), math.inf), ((math.inf,), (0,), (10.0,), 0.0), ((0.0,), (5,), (math.inf,), 0.0),
-     ((math.inf,), (5,), (0.0,), 0.0), ((math.inf, 0.5), (2,), (math.inf, 10.0), 10.0)],
+    ("minima", "score"),
+    [((2.0, 3, math.inf), math.inf), ((math.inf, 0, 10.0), 0.0), ((0.0, 5, math.inf), 0.0), ((math.inf, 5, 0.0), 0.0),
+     ((0.5, 2, 10.0), 10.0)],
 )  # fmt: skip
-def test_infinity_times_zero_is_zero(s: tuple[float, ...], g: tuple[int, ...], a: tuple[float, ...], score: float) -> None:
-    assert score_of(s, g, a) == score
+def test_infinity_times_zero_is_zero(minima: tuple[float, ...], score: float) -> None:
+    assert score_of(minima) == score
 
 
 def test_nothing_is_held_that_stands() -> None:
@@ -120,7 +130,7 @@ def test_a_hand_does_not_let_go_of_what_would_fall() -> None:
     states = {"ab/b": ROBUST, "abc/a": ROBUST, "abcd/": ROBUST, "abc/bc": ROBUST}
     sets, reason = held(Table(states), "abcd")
     assert "{a, b, c} falls" in reason
-    assert sets == ["a", "b", "", ""]
+    assert sets == ["a", "b"]
     # with c alone keeping it for the while, the other hand can go over
     states |= {"abc/c": ROBUST}
     assert held(Table(states), "abcd") == (["a", "b", "c", ""], "")
@@ -130,7 +140,7 @@ def test_a_hand_does_not_let_go_of_what_would_fall() -> None:
 def test_in_the_end_nothing_is_held() -> None:
     sets, reason = held(Table({"ab/a": ROBUST, "abc/a": ROBUST}), "abc")
     assert "falls" in reason and "the end" in reason
-    assert sets == ["a", "a", ""]
+    assert sets == ["a", "a"]
 
 
 def test_a_hand_that_the_next_piece_would_hit_does_not_hold() -> None:
@@ -142,7 +152,7 @@ def test_a_hand_that_the_next_piece_would_hit_does_not_hold() -> None:
 
 def test_one_hand_cannot_hold_and_insert() -> None:
     table = Table({"ab/": ROBUST, "abc/": ROBUST}, hands=1)
-    assert "0 hand(s)" in held(table, "abc")[1]
+    assert "there is no hand to spare" in held(table, "abc")[1]
     assert held(replace(table, states=table.states | {"a/": ROBUST}), "abc") == (["", "", ""], "")
 
 
@@ -152,13 +162,30 @@ def test_steps_that_orders_share_agree() -> None:
     for _ in range(40):
         names = ["a", "b", "ab", "ac", "bc", "abc", "ad", "bd", "cd", "abd", "acd", "bcd"]
         states = {f"{p}/{h}": (ROBUST, LEANING, FALLS)[rng.integers(3)] for p in names for h in ("", *p, *_pairs(p))}
-        orders = Orders(Table(states | {"abcd/": ROBUST}))
+        orders = Orders(Table(states | {"abcd/": ROBUST}))  # type: ignore[arg-type]
         for order in ((0, 1, 2, 3), (2, 0, 3, 1)):
-            _, _, sets, reason = orders.equilibrium_support(order)
+            followed = follow(orders.supports, order)
             paths = list(_paths(orders, order, 0, NOTHING))
-            assert bool(paths) == (not reason)
+            assert bool(paths) == followed.complete
             if paths:
-                assert _cost(orders, order, sets) == min(_cost(orders, order, path) for path in paths)
+                assert _cost(orders, order, followed.holds[2]) == min(_cost(orders, order, path) for path in paths)
+
+
+def test_a_hand_that_is_not_needed_adds_nothing() -> None:
+    """Two hands to spare: the second hold would make the state better, but the first suffices."""
+    better = StateStability("robust", 5.0, 5.0)
+    table = Table({"ab/a": ROBUST, "ab/ab": better, "ab/b": LEANING, "abc/": ROBUST}, hands=3)
+    assert held(table, "abc") == (["a", "a", ""], "")
+    holds = Orders(table).holds  # type: ignore[arg-type]
+    assert holds.judge(frozenset({0, 1}), frozenset({0, 1})).quality == 0.5
+    assert holds.judge(frozenset({0, 1}), frozenset({1})).quality == LEANING.quality
+
+
+def test_more_hands_hold_more_pieces() -> None:
+    states = {"ab/ab": ROBUST, "abc/": ROBUST}
+    assert "falls" in held(Table(states), "abc")[1]
+    assert held(Table(states, hands=3), "abc") == (["a", "ab", ""], "")
+    assert "{a, b} falls" in held(Table(states, hands=3, ungraspable={("a", "c")}), "abc")[1]
 
 
 def _pairs(names: str) -> list[str]:
@@ -170,18 +197,18 @@ def _paths(orders: Orders, order: tuple[int, ...], k: int, before: frozenset[int
         yield []
         return
     upcoming = order[k + 1] if k + 1 < len(order) else None
-    for kept in orders.held_after(frozenset(order[:k]), order[k], before, upcoming):
-        for rest in _paths(orders, order, k + 1, kept):
-            yield [kept, *rest]
+    for support in orders.supports(frozenset(order[:k]), order[k], before, upcoming):
+        for rest in _paths(orders, order, k + 1, support.held):
+            yield [support.held, *rest]
 
 
-def _cost(orders: Orders, order: tuple[int, ...], sets: list[frozenset[int]]) -> tuple[float, ...]:
-    states = [orders.q.stability(frozenset(order[: k + 1]), kept) for k, kept in enumerate(sets)]
+def _cost(orders: Orders, order: tuple[int, ...], sets: Sequence[frozenset[int]]) -> tuple[float, ...]:
+    states = [orders.holds.judge(frozenset(order[: k + 1]), kept) for k, kept in enumerate(sets)]
     steps = list(zip(order, [NOTHING, *sets], sets, strict=False))
     again = sum(len(kept - before - {piece}) for piece, before, kept in steps)
     changes = sum(len(kept - before) for _, before, kept in steps)
     leaning = sum(state.verdict == "clearance-dependent" for state in states)
-    return again, sum(map(len, sets)), leaning, changes, -min(state.quality for state in states)
+    return -min(state.quality for state in states), again, sum(map(len, sets)), leaning, changes
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,108 @@
+"""The analyzers: what judges a state of the assembly, or the insertion of one piece, each behind one function.
+
+An analyzer of your own is a function with one of the two signatures, in any module that can be imported; it is named as
+`module:function`. It sees the same `Qualities` as those of the planner and may build on them.
+
+    def reach(qualities, placed, piece):            # a step: how well `piece` goes into the placed set
+        height = qualities.assembly.goal_centres[piece][2]
+        return Judgement(1.0) if height < 0.4 else Judgement(0.0, f"its goal is {height:.2f} m up, the arm reaches 0.40 m")
+
+A quality of 0 rules the step or the state out, and its reason is reported; every other enters the score by its minimum over the
+order (paper Sec. IV-G).
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from soma_bullet.errors import InputError
+
+if TYPE_CHECKING:
+    from soma_bullet.planner.qualities import Placed, Qualities
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What an analyzer says.
+
+    Attributes:
+        quality: 0 is impossible; larger is better.
+        reason: why it is 0, with numbers.
+        verdict: of a state: `unstable` where its quality is 0; any other word is up to the analyzer.
+    """
+
+    quality: float
+    reason: str = ""
+    verdict: str = ""
+
+    @property
+    def stands(self) -> bool:
+        """Whether the state, or the step, is possible."""
+        return self.quality > 0.0
+
+
+StepAnalyzer = Callable[["Qualities", "Placed", int], Judgement]  # qualities, placed set without the piece, piece
+StateAnalyzer = Callable[["Qualities", "Placed", "Placed"], Judgement]  # qualities, placed set, held pieces
+
+
+def equilibrium(qualities: Qualities, placed: Placed, held: Placed) -> Judgement:
+    """Stability of the whole placed set at once: soma_bullet.planner.equilibrium."""
+    state = qualities.stability(placed, held)
+    reason = "" if state.verdict != "unstable" else _resists(state.margin, state.margin_sides)
+    return Judgement(state.quality, reason, state.verdict)
+
+
+def _resists(margin: float, sides: float) -> str:
+    return f"resists {margin:.3f} g without and {sides:.3f} g with side contacts"
+
+
+def graspability(qualities: Qualities, placed: Placed, piece: int) -> Judgement:
+    """G: the number of grasps whose hand and way out are clear of the placed set and the support (paper Sec. IV-C)."""
+    count = qualities.graspability(piece, placed)
+    if count:
+        return Judgement(float(count))
+    return Judgement(0.0, f"has no accessible grasp: {qualities.why_no_grasp(piece, placed)}")
+
+
+def assemblability(qualities: Qualities, placed: Placed, piece: int) -> Judgement:
+    """A: how freely the piece goes in along its best straight way (paper Sec. IV-E)."""
+    way = qualities.assemblability(piece, placed)
+    if way.direction is not None:
+        return Judgement(way.quality)
+    by = " and ".join("the support" if k < 0 else qualities.assembly.names[k] for k in way.blockers)
+    return Judgement(0.0, f"has no straight way in ({way.type}, blocked by {by})")
+
+
+STEPS: dict[str, StepAnalyzer] = {"graspability": graspability, "assemblability": assemblability}
+STATES: dict[str, StateAnalyzer] = {"equilibrium": equilibrium}
+PAPER = "paper"  # judges single pieces; its holds follow from their qualities (paper Sec. IV-F)
+
+
+def state_analyzer(name: str) -> StateAnalyzer:
+    """The stability analyzer of that name; paper mode's holds are judged by equilibrium. Raises InputError."""
+    return _found(name, STATES | {PAPER: equilibrium}, "stability")
+
+
+def step_analyzer(name: str) -> StepAnalyzer:
+    """The analyzer of steps of that name. Raises InputError."""
+    return _found(name, STEPS, "analyzer")
+
+
+def _found(name: str, known: dict[str, Any], option: str) -> Any:
+    if name in known:
+        return known[name]
+    module, _, function = name.partition(":")
+    if not function:
+        raise InputError(f"--{option}", f"{name!r} is not known; there are {', '.join(known)}, and your own as module:function")
+    try:
+        found = getattr(importlib.import_module(module), function)
+    except ImportError as error:
+        raise InputError(f"--{option}", f"{name!r}: module {module!r} cannot be imported: {error}") from error
+    except AttributeError:
+        raise InputError(f"--{option}", f"{name!r}: module {module!r} has no {function!r}") from None
+    if not callable(found):
+        raise InputError(f"--{option}", f"{name!r} is no function")
+    return found

@@ -1,0 +1,218 @@
+"""Search over assembly orders: all of them where they are few, otherwise the best ones, exactly.
+
+An order's score is the product of the minima of its qualities (paper Sec. IV-G). A minimum only falls as an order grows, so
+that of two ways to the same situation the one that is nowhere worse makes the other needless: labels on subsets, not on orders.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Protocol
+
+Placed = frozenset[int]
+NOTHING: Placed = frozenset()
+Cost = tuple[int, int, int, int]  # pieces gripped again, pieces held, states that depend on clearance, changes of hold
+FREE: Cost = (0, 0, 0, 0)
+
+
+@dataclass(frozen=True)
+class Support:
+    """One way to keep a state up while the next piece comes in.
+
+    Attributes:
+        held: what the hands hold.
+        quality: the state's S with that.
+        cost: what breaks ties, smaller is better.
+    """
+
+    held: Placed
+    quality: float
+    cost: Cost
+
+
+class Steps(Protocol):
+    """What a search asks: the insertion of a piece, and what may be held before the next one."""
+
+    @property
+    def count(self) -> int:
+        """Number of pieces."""
+
+    def insertion(self, placed: Placed, piece: int) -> tuple[float, ...]:
+        """Qualities of inserting `piece`; a 0 rules it out."""
+
+    def supports(self, before: Placed, piece: int, held: Placed, upcoming: int | None) -> tuple[Support, ...]:
+        """What may be held after `piece` went into `before` with `held` held, until `upcoming` goes in (None: the end)."""
+
+
+def score_of(minima: tuple[float, ...]) -> float:
+    """Product of the minima; infinity times zero is zero."""
+    return 0.0 if 0.0 in minima else math.prod(minima)
+
+
+@dataclass(frozen=True)
+class Found:
+    """An order with its holds.
+
+    Attributes:
+        order: pieces, first to last.
+        held: what is held after each step.
+        s: S with the holds after each step.
+        minima: smallest S, then the smallest of each quality of the insertions.
+        cost: of the holds.
+    """
+
+    order: tuple[int, ...]
+    held: tuple[Placed, ...]
+    s: tuple[float, ...]
+    minima: tuple[float, ...]
+    cost: Cost
+
+    @property
+    def score(self) -> float:
+        """min S * min G * min A ..."""
+        return score_of(self.minima)
+
+
+def _added(first: Cost, second: Cost) -> Cost:
+    return (first[0] + second[0], first[1] + second[1], first[2] + second[2], first[3] + second[3])
+
+
+_Holds = tuple[float, Cost, tuple[Placed, ...], tuple[float, ...]]  # min S, cost, what was held, its S
+
+
+Supports = Callable[[Placed, int, Placed, int | None], tuple[Support, ...]]  # see Steps.supports
+
+
+def pareto_holds(
+    supports: Supports, order: tuple[int, ...], before: dict[Placed, list[_Holds]], upcoming: int | None
+) -> dict[Placed, list[_Holds]]:
+    """Best ways to each held set after the last piece of `order`, given those after the one before it."""
+    placed, piece = frozenset(order[:-1]), order[-1]
+    after: dict[Placed, list[_Holds]] = {}
+    for held, labels in before.items():
+        for support in supports(placed, piece, held, upcoming):
+            for smallest, cost, path, values in labels:
+                worst, total = min(smallest, support.quality), _added(cost, support.cost)
+                _keep(after.setdefault(support.held, []), (worst, total, (*path, support.held), (*values, support.quality)))
+    return after
+
+
+def _keep(labels: list[_Holds], new: _Holds) -> None:
+    """Add a label unless one is at least as good in both S and cost; drop those that it beats."""
+    if any(old[0] >= new[0] and old[1] <= new[1] for old in labels):
+        return
+    labels[:] = [old for old in labels if not (new[0] >= old[0] and new[1] <= old[1])]
+    labels.append(new)
+
+
+def best_holds(labels: dict[Placed, list[_Holds]]) -> _Holds:
+    """Of all labels the one with the largest min S, then the smallest cost."""
+    every = [label for group in labels.values() for label in group]
+    return min(every, key=lambda label: (-label[0], label[1], [sorted(held) for held in label[2]]))
+
+
+START: dict[Placed, list[_Holds]] = {NOTHING: [(math.inf, FREE, (), ())]}
+
+
+@dataclass(frozen=True)
+class Followed:
+    """What became of one order: its holds as far as they go.
+
+    Attributes:
+        order: pieces.
+        holds: the best ones of the longest part that can be held up.
+        complete: that part is the whole order.
+    """
+
+    order: tuple[int, ...]
+    holds: _Holds
+    complete: bool
+
+
+def follow(supports: Supports, order: tuple[int, ...]) -> Followed:
+    """One order with its best holds."""
+    labels = START
+    for k in range(len(order)):
+        after = pareto_holds(supports, order[: k + 1], labels, order[k + 1] if k + 1 < len(order) else None)
+        if not after:
+            return Followed(order, best_holds(labels), False)
+        labels = after
+    return Followed(order, best_holds(labels), True)
+
+
+def follow_all(steps: Steps) -> Iterator[Followed]:
+    """Every order, in lexicographic order; parts that orders share are followed once."""
+
+    def extend(order: tuple[int, ...], labels: dict[Placed, list[_Holds]], dead: _Holds | None) -> Iterator[Followed]:
+        left = [k for k in range(steps.count) if k not in order]
+        for piece in left or [None]:  # type: ignore[list-item]
+            after, end = labels, dead
+            if order and dead is None:
+                after = pareto_holds(steps.supports, order, labels, piece)
+                end = None if after else best_holds(labels)
+            if piece is None:
+                yield Followed(order, end if end is not None else best_holds(after), end is None)
+            else:
+                yield from extend((*order, piece), after, end)
+
+    yield from extend((), START, None)
+
+
+def best_orders(
+    steps: Steps, count: int, bound: Callable[[Placed], tuple[float, ...]] | None = None
+) -> tuple[list[Found], int]:
+    """The `count` best orders (fewer where fewer are possible), best first, and how many labels it took.
+
+    Exact: labels leave a queue in the order of their score, which no later step can raise; a label is dropped only where
+    `count` others reach the same situation with no smaller minimum and no larger cost.
+
+    Args:
+        bound: upper bounds of the minima that any completion of a placed set can still reach.
+    """
+    queue: list[tuple[float, Cost, tuple[int, ...], list[list[int]], int]] = []
+    labels: list[tuple[Found, Placed]] = []
+    kept: dict[tuple[Placed, int, Placed], list[tuple[tuple[float, ...], Cost, tuple[int, ...]]]] = {}
+    found: dict[tuple[int, ...], Found] = {}
+
+    def push(label: Found, held: Placed, done: bool) -> None:
+        placed = frozenset(label.order)
+        if not done:
+            others = kept.setdefault((placed, label.order[-1], held), [])
+            better = {
+                order for minima, cost, order in others
+                if cost <= label.cost and all(a >= b for a, b in zip(minima, label.minima, strict=True))
+            }  # fmt: skip
+            if len(better) >= count or label.order in better:
+                return
+            others.append((label.minima, label.cost, label.order))
+        minima = label.minima
+        if bound is not None and not done:
+            minima = tuple(min(a, b) for a, b in zip(minima, bound(placed), strict=True))
+        score = score_of(minima)
+        if score > 0.0:
+            labels.append((label, held))
+            heapq.heappush(queue, (-score, label.cost, label.order, [sorted(h) for h in label.held], len(labels) - 1))
+
+    for piece in range(steps.count):
+        push(Found((piece,), (), (), (math.inf, *steps.insertion(NOTHING, piece)), FREE), NOTHING, False)
+    while queue and len(found) < count:
+        *_, index = heapq.heappop(queue)
+        label, held = labels[index]
+        if len(label.held) == steps.count:
+            found.setdefault(label.order, label)
+            continue
+        placed, piece = frozenset(label.order[:-1]), label.order[-1]
+        for upcoming in [k for k in range(steps.count) if k not in label.order] or [None]:  # type: ignore[list-item]
+            inserted = () if upcoming is None else steps.insertion(placed | {piece}, upcoming)
+            if 0.0 in inserted:
+                continue
+            for support in steps.supports(placed, piece, held, upcoming):
+                smallest = (min(label.minima[0], support.quality), *map(min, label.minima[1:], inserted or label.minima[1:]))
+                order = label.order if upcoming is None else (*label.order, upcoming)
+                cost = _added(label.cost, support.cost)
+                grown = Found(order, (*label.held, support.held), (*label.s, support.quality), smallest, cost)
+                push(grown, support.held, upcoming is None)
+    return list(found.values()), len(labels)
