@@ -80,7 +80,11 @@ class Assembly:
 
     @cached_property
     def drops(self) -> Array:
-        """How far each piece settles below its nominal goal when it is put down (n,) [m].
+        """How far each piece of the finished assembly settles below its nominal goal (n,) [m]."""
+        return self.drops_of(frozenset(range(len(self.pieces))))
+
+    def drops_of(self, placed: frozenset[int]) -> Array:
+        """How far each placed piece settles below its nominal goal when it is put down (n,) [m]; 0 for the others.
 
         A piece on the support drops by its clearance; one on others by both clearances plus the smallest drop among the pieces
         that carry it (it rests on the highest). A piece that nothing carries keeps its goal.
@@ -88,6 +92,8 @@ class Assembly:
         upward = np.cos(np.deg2rad(60.0))
         carriers: list[set[int]] = [set() for _ in self.pieces]
         for contact in self.contacts:
+            if not {contact.body_a, contact.body_b} - {SUPPORT} <= placed:
+                continue
             for piece in {contact.body_a, contact.body_b} - {SUPPORT}:
                 oriented = contact.into(piece)
                 if oriented.normal[2] > upward:

@@ -61,23 +61,32 @@ def pair_separation(first: tuple[Array, Array], second: tuple[Array, Array]) -> 
         second: centres (b, 3) [m] and generators (b, h, 3) [m].
     """
     (centre_a, spread_a), (centre_b, spread_b) = first, second
-    gap = np.full((len(centre_a), len(centre_b)), -np.inf)
+    gap = np.full((len(centre_a), len(centre_b)), FAR)
     apart = np.linalg.norm(centre_a[:, None] - centre_b, axis=2)
-    near = apart - np.linalg.norm(spread_a, axis=2).sum(1)[:, None] - np.linalg.norm(spread_b, axis=2).sum(1) < FAR
-    gap[~near] = FAR  # their bounding balls are apart
-    i, j = np.nonzero(near)
-    a, b, between = spread_a[i], spread_b[j], centre_b[j] - centre_a[i]
-    own = [np.cross(a[:, p], a[:, q]) for p, q in zip(*np.triu_indices(a.shape[1], 1), strict=True)]
-    own += [np.cross(b[:, p], b[:, q]) for p, q in zip(*np.triu_indices(b.shape[1], 1), strict=True)]
-    own += [np.cross(a[:, p], b[:, q]) for p in range(a.shape[1]) for q in range(b.shape[1])]
+    reach_a, reach_b = (np.linalg.norm(spread, axis=2).sum(axis=1) for spread in (spread_a, spread_b))
+    i, j = np.nonzero(apart - reach_a[:, None] - reach_b < FAR)  # the bounding balls of the others are apart
+    if not len(i):
+        return gap
+    # coordinates first: sums over them are then sums of whole arrays (3, pairs, generators)
+    a, b = np.moveaxis(spread_a, 2, 0)[:, i], np.moveaxis(spread_b, 2, 0)[:, j]
+    between = (centre_b[j] - centre_a[i]).T
+    (p, q), (r, t) = np.triu_indices(a.shape[2], 1), np.triu_indices(b.shape[2], 1)
     widest = np.full(len(i), -np.inf)
-    for axis in own:
-        length = np.linalg.norm(axis, axis=1)
-        reach = np.abs(np.einsum("nj,ngj->ng", axis, a)).sum(1) + np.abs(np.einsum("nj,ngj->ng", axis, b)).sum(1)
-        distance = np.abs(np.einsum("nj,nj->n", axis, between)) - reach
+    for axes in (_cross(a[:, :, p], a[:, :, q]), _cross(b[:, :, r], b[:, :, t]), None):
+        left = np.flatnonzero(widest < FAR)
+        if not len(left):
+            break
+        some_a, some_b = a[:, left], b[:, left]
+        if axes is None:
+            crossed = _cross(some_a[:, :, :, None], some_b[:, :, None, :]).reshape(3, len(left), -1)
+        else:
+            crossed = axes[:, left]
+        at, reach = _span(crossed, between[:, left], np.concatenate([some_a, some_b], axis=2))
+        length = np.sqrt((crossed * crossed).sum(axis=0))
         usable = length > SMALLEST_AXIS
-        widest = np.maximum(widest, np.where(usable, distance / np.where(usable, length, 1.0), -np.inf))
-    gap[i, j] = widest
+        distance = np.where(usable, (np.abs(at) - reach) / np.where(usable, length, 1.0), -np.inf)
+        widest[left] = np.maximum(widest[left], distance.max(axis=1))
+    gap[i, j] = np.minimum(widest, FAR)
     return gap
 
 

@@ -24,12 +24,16 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, tangents
 from soma_bullet.planner.programs import LARGEST, PushRegion
 
-Sides = Literal["dropped", "frictionless", "friction"]
+Sides = Literal["settled", "dropped", "frictionless", "friction"]
 Verdict = Literal["robust", "clearance-dependent", "unstable"]
 
 SIDE = 0.1  # |n_z| below this is a side contact
 PYRAMID = 12  # sides of the friction pyramid; its radius is the mean of inscribed and circumscribed
+# A contact that stays open when the pieces have settled closes once one of them leans by the opening. The margin must allow for
+# that lean: twice, since a body that starts to tip overshoots, in each of a stack of three.
+LEAN = 6.0
 DIRECTIONS = 24  # horizontal directions of the assembly frame
+CLOSED = 1e-6  # [m] a smaller opening is none
 TIE = 1e-3  # [g] a margin up to this is none
 
 
@@ -38,7 +42,8 @@ class StateStability:
     """Stability of a placed set.
 
     Attributes:
-        verdict: robust without side contacts, clearance-dependent where frictionless side contacts are needed, else unstable.
+        verdict: robust without side contacts, clearance-dependent where it takes frictionless side contacts, or contacts that
+            the fit clearance leaves open, else unstable.
         margin: horizontal acceleration resisted without side contacts [g].
         margin_sides: ... with frictionless side contacts [g].
     """
@@ -62,6 +67,10 @@ def classify(assembly: Assembly, placed: frozenset[int], held: frozenset[int] = 
     # rounded: the solver's last digits must not choose between states that are equal
     margin = round(equilibrium_margin(assembly, placed, held, "dropped"), 9)
     sides = margin if margin > TIE else round(equilibrium_margin(assembly, placed, held, "frictionless"), 9)
+    if TIE < margin <= LEAN * _widest_opening(assembly, placed):
+        robust = equilibrium_margin(assembly, placed, held, "settled") > TIE
+        sides = margin if robust else round(equilibrium_margin(assembly, placed, held, "frictionless"), 9)
+        return StateStability("robust" if robust else "clearance-dependent", margin, sides)
     verdict: Verdict = "robust" if margin > TIE else "clearance-dependent" if sides > TIE else "unstable"
     return StateStability(verdict, margin, sides)
 
@@ -90,15 +99,38 @@ def equilibrium_margin(
 
 def active_contacts(assembly: Assembly, placed: frozenset[int], held: frozenset[int], sides: Sides) -> list[Contact]:
     """Contacts among the placed pieces that act in a variant and touch a free piece."""
-    chosen = []
+    chosen, drops = [], assembly.drops_of(placed)
     for contact in assembly.contacts:
         bodies = {contact.body_a, contact.body_b} - {SUPPORT}
         if not bodies <= placed or bodies <= held:
             continue
-        if sides == "dropped" and abs(contact.normal[2]) < SIDE:
+        if sides in ("settled", "dropped") and abs(contact.normal[2]) < SIDE:
+            continue
+        if sides == "settled" and _opening(contact, assembly, drops) > CLOSED:
             continue
         chosen.append(contact)
     return chosen
+
+
+def _opening(contact: Contact, assembly: Assembly, drops: Array) -> float:
+    """Gap [m] that a patch with a vertical part keeps when the pieces have settled by `drops` (n,) [m]."""
+    if SUPPORT in (contact.body_a, contact.body_b):
+        return 0.0
+    above = contact.body_b if contact.normal[2] > 0 else contact.body_a
+    below = contact.body_a + contact.body_b - above
+    gap = assembly.pieces[above].clearance + assembly.pieces[below].clearance
+    return float(gap - (drops[above] - drops[below]) * abs(contact.normal[2]))
+
+
+def _widest_opening(assembly: Assembly, placed: frozenset[int]) -> float:
+    """Largest opening of the settled state, as the angle [rad] by which a piece leans to close it."""
+    drops = assembly.drops_of(placed)
+    open_by = [
+        _opening(contact, assembly, drops) / np.sqrt(contact.area)
+        for contact in assembly.contacts
+        if abs(contact.normal[2]) >= SIDE and {contact.body_a, contact.body_b} - {SUPPORT} <= placed
+    ]
+    return float(max(open_by, default=0.0))
 
 
 def contact_columns(contact: Contact, assembly: Assembly, free: Sequence[int], held: frozenset[int], sides: Sides) -> Array:

@@ -11,6 +11,8 @@ from soma_bullet.planner.analyzers import Judgement, state_analyzer
 from soma_bullet.planner.qualities import Placed, Qualities
 from soma_bullet.planner.search import NOTHING, Support
 
+MOST_ASKED = 8  # pieces; of more, not every state is looked at in advance
+
 
 class Holds:
     """Held sets of one assembly; each question is answered once.
@@ -21,9 +23,10 @@ class Holds:
 
     def __init__(self, qualities: Qualities):
         self.q = qualities
-        self.hands = qualities.options.hands
+        self.hands, self.count = qualities.options.hands, len(qualities.assembly.names)
         self.analyse = state_analyzer(qualities.options.stability)
         self.refused: set[tuple[Placed, int, int | None]] = set()  # (placed, held piece, upcoming) that no grasp can take
+        self._later: dict[Placed, bool] = {}
         self._judged: dict[tuple[Placed, Placed], Judgement] = {}
         self._holdable: dict[tuple[Placed, int | None, Placed], bool] = {}
         self._after: dict[tuple[Placed, int, Placed, int | None], tuple[Support, ...]] = {}
@@ -56,6 +59,8 @@ class Holds:
         key = (before, piece, held, upcoming)
         if key not in self._after:
             placed, most = before | {piece}, self.hands - 1 if upcoming is not None else 0
+            if self.judge(placed).stands and not self._needed_later(placed):
+                most = 0  # nothing to hold on for
             reached = [kept for kept in self._reachable(placed, held | {piece}, upcoming) if len(kept) <= most]
             self._after[key] = tuple(
                 self._support(placed, piece, held, kept)
@@ -81,6 +86,15 @@ class Holds:
                     stack.append(option)
         return seen if self.judge(placed, start).stands else seen - {start}
 
+    def _needed_later(self, placed: Placed) -> bool:
+        """Whether some state with more pieces cannot do without a hand; taken for granted where there are too many to ask."""
+        if placed not in self._later:
+            left = [piece for piece in range(self.count) if piece not in placed]
+            self._later[placed] = self.count > MOST_ASKED or any(
+                not self.judge(placed | {piece}).stands or self._needed_later(placed | {piece}) for piece in left
+            )
+        return self._later[placed]
+
     def _support(self, placed: Placed, piece: int, before: Placed, held: Placed) -> Support:
         judgement = self.judge(placed, held)
         again, changes = len(held - before - {piece}), len(held - before)
@@ -101,7 +115,7 @@ class Holds:
         direction = None if upcoming is None else self.q.assemblability(upcoming, placed).direction
         if upcoming is not None and direction is None:
             return False
-        if not all(len(self.q.assisting(piece, placed, upcoming, direction)) for piece in held):
+        if not all(self.q.can_assist(piece, placed, upcoming, direction) for piece in held):
             return False
         return len(held) < 2 or self.q.together(held, placed, upcoming, direction)
 

@@ -22,6 +22,7 @@ from soma_bullet.planner.equilibrium import StateStability, classify, friction_o
 from soma_bullet.planner.paper_stability import contact_wrenches, wrench_margin
 
 Placed = frozenset[int]
+FEW = 6  # grasps of either hand that are tried first where one pair is enough
 SPREAD = 12  # grasps of an incoming hand that are tried before all of them
 
 
@@ -60,6 +61,7 @@ class Qualities:
         self._clear: dict[tuple[int, int], Mask] = {}
         self._ways: dict[tuple[int, Placed], Assemblability] = {}
         self._accessible: dict[tuple[int, Placed], Indices] = {}
+        self._spared: dict[tuple[int, Placed, int], Indices] = {}
         self._assisting: dict[tuple[int, Placed, int | None], Indices] = {}
 
     def paper_stability(self, piece: int, placed: Placed, turn: float = 0.0) -> float:
@@ -139,13 +141,34 @@ class Qualities:
             self._assisting[key] = self._find_assisting(piece, placed, upcoming, direction)
         return self._assisting[key]
 
-    def _find_assisting(self, piece: int, placed: Placed, upcoming: int | None, direction: Array | None) -> Indices:
-        indices = self.accessible(piece, placed)
-        if upcoming is None or direction is None or not len(indices):
-            return indices
+    def can_assist(self, piece: int, placed: Placed, upcoming: int | None, direction: Array | None) -> bool:
+        """Whether there is an assisting grasp at all: a few that are spread out are tried before all of them."""
+        if upcoming is None or direction is None or (piece, placed, upcoming) in self._assisting:
+            return bool(len(self.assisting(piece, placed, upcoming, direction)))
         way = direction * way_length(self.assembly, upcoming, direction)
-        # the hand seen from the incoming piece moves along the direction: sweep the hand instead of the piece
-        indices = indices[clear_of_scene(self._holding(piece, indices, way), self.assembly.goal_parts[upcoming], None)]
+        indices, inserting = self._clear_of_way(piece, placed, upcoming, way), self.accessible(upcoming, placed)
+        if not len(indices) or not len(inserting):
+            return False
+        few, some = (chosen[:: max(1, len(chosen) // FEW)] for chosen in (indices, inserting))
+        if hands_clear(self._holding(piece, few), self._arriving(upcoming, some, way)).any():
+            return True
+        return bool(len(self.assisting(piece, placed, upcoming, direction)))
+
+    def _clear_of_way(self, piece: int, placed: Placed, upcoming: int, way: Array) -> Indices:
+        """Indices of the accessible grasps of a placed piece whose hand is clear of the next piece all along its way (3,)."""
+        key = (piece, placed, upcoming)
+        if key not in self._spared:
+            indices = self.accessible(piece, placed)
+            # the hand seen from the incoming piece moves along the direction: sweep the hand instead of the piece
+            clear = clear_of_scene(self._holding(piece, indices, way), self.assembly.goal_parts[upcoming], None)
+            self._spared[key] = indices[clear]
+        return self._spared[key]
+
+    def _find_assisting(self, piece: int, placed: Placed, upcoming: int | None, direction: Array | None) -> Indices:
+        if upcoming is None or direction is None:
+            return self.accessible(piece, placed)
+        way = direction * way_length(self.assembly, upcoming, direction)
+        indices = self._clear_of_way(piece, placed, upcoming, way)
         inserting, clear = self.accessible(upcoming, placed), np.zeros(len(indices), bool)
         for few in (inserting[:: max(1, len(inserting) // SPREAD)], inserting):  # a few that are spread out mostly suffice
             left = np.flatnonzero(~clear)

@@ -66,6 +66,9 @@ class Table:
     def accessible(self, piece: int, placed: frozenset[int]) -> list[int]:
         return [0]
 
+    def can_assist(self, *question: Any) -> bool:
+        return bool(self.assisting(*question))
+
     def assisting(self, piece: int, placed: frozenset[int], upcoming: int | None, direction: Any) -> list[int]:
         return [] if upcoming is not None and ("abcd"[piece], "abcd"[upcoming]) in self.ungraspable else [0]
 

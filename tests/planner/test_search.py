@@ -64,6 +64,9 @@ class Instance:
     def assemblability(self, piece: int, placed: Placed) -> Any:
         return SimpleNamespace(direction=np.array((0.0, 0.0, -1.0)))
 
+    def can_assist(self, *question: Any) -> bool:
+        return bool(self.assisting(*question))
+
     def assisting(self, piece: int, placed: Placed, upcoming: int | None, direction: Any) -> list[int]:
         return [0] if upcoming is None or self.draw(4, piece, placed, upcoming) > 0.3 else []
 
