@@ -129,15 +129,17 @@ class Holds:
             return f"{text}, and in the end no hand is left"
         if spare == 0:
             return f"{text}, and there is no hand to spare"
-        tried = []
+        useless, tried = [], []
         for held in map(frozenset, combinations(sorted(placed), min(spare, len(placed)))):
-            judgement, label = self.judge(placed, held), " and ".join(name[k] for k in sorted(held))
-            if not judgement.stands:
-                tried.append(f"holding {label} it {judgement.reason}")
+            label = " and ".join(name[k] for k in sorted(held))
+            if not self.judge(placed, held).stands:
+                useless.append(label)
             elif not self.can_hold(placed, upcoming, held):
                 tried.append(f"{label} cannot be held: {self._ungraspable(placed, upcoming, held)}")
             else:
                 tried.append(f"{label} cannot be taken in time: no hand gets there while the others keep the state up")
+        if useless:
+            tried.insert(0, f"with {' or '.join(useless)} held it falls too")
         return f"{text}; {'; '.join(tried)}"
 
     def _ungraspable(self, placed: Placed, upcoming: int, held: Placed) -> str:

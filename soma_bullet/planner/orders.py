@@ -196,7 +196,8 @@ class Orders:
         sets = map(frozenset, itertools.combinations(sorted(placed), min(spare, k + 1)))
         some = any(self.holds.judge(placed, held).stands for held in sets)
         stage = "assisting grasp" if some and upcoming is not None else "stability"
-        return Fault(k, stage, f"{self._named(placed)} falls before {before}: {self.holds.why_not(placed, upcoming)}")
+        when = f" before {before}" if stage == "assisting grasp" or upcoming is None else ""
+        return Fault(k, stage, f"{self._named(placed)} falls{when}: {self.holds.why_not(placed, upcoming)}")
 
     def _judged(self, placed: Placed, piece: int) -> dict[str, Judgement]:
         key = (placed, piece)

@@ -1,4 +1,4 @@
-"""The command line of an episode: typed options, progress on stderr, exit status for scripts.
+"""The command line of an episode: `soma-episode`, scripts/run_episode.py.
 
 Imports of the pipeline wait until the arguments are known to be good, so that `--help` answers at once.
 """
@@ -195,21 +195,14 @@ def _check(options: RunArguments) -> None:
 
 def _print_plan(out: Path, console: object) -> None:
     from rich.console import Console
-    from rich.table import Table
 
     from soma_bullet.planner.plan import AssemblyPlan
     from soma_bullet.records import read_json
+    from soma_bullet.report.table import plan_table
 
     assert isinstance(console, Console)
     plan = read_json(AssemblyPlan, out / "plan.json")
-    table = Table(title=f"{plan.assembly}: {' <- '.join(plan.order)} ({plan.options.stability} mode)", title_justify="left")
-    for heading in ("step", "piece", "along", "type", "grasps", "held afterwards", "state"):
-        table.add_column(heading)
-    for k, step in enumerate(plan.steps):
-        held = ", ".join(f"{hold.piece} ({len(hold.grasps)} grasps)" for hold in step.holds) or "nothing"
-        along = ", ".join(f"{v:.2f}" for v in step.direction)
-        table.add_row(str(k + 1), step.piece, f"({along})", step.type, str(len(step.grasps)), held, step.verdict)
-    console.print(table)
+    console.print(plan_table(plan))
     for warning in plan.warnings:
         console.print(f"[yellow]warning[/]: {warning}")
     console.print(f"written to {out}/plan.json", markup=False)
