@@ -20,12 +20,11 @@ from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError, NoSolutionError
 from soma_bullet.grasp.clearance import OPENING
-from soma_bullet.grasp.hand import load_hand
 from soma_bullet.planner.plan import AssemblyPlan, make_plan
 from soma_bullet.planner.qualities import PlannerOptions
 from soma_bullet.records import package_versions, read_json, read_npz, write_json, write_npz
 from soma_bullet.report.report import EpisodeReport
-from soma_bullet.robot.cell import Cell, load_cell
+from soma_bullet.robot.cell import Cell, find_hand, load_cell
 from soma_bullet.sim.execute import Executor
 from soma_bullet.sim.judge import Tolerance, judge
 from soma_bullet.sim.log import ExecutionLog
@@ -180,7 +179,7 @@ def _certificates(program: Program | None) -> dict[str, float]:
 def _load_cell(options: EpisodeOptions) -> Cell:
     cell = load_cell(options.cell)
     if options.hand is not None:
-        hand = load_hand(options.hand) if Path(options.hand).suffix == ".toml" else load_cell(options.hand).arms[0].hand
+        hand = find_hand(options.hand)
         cell = replace(cell, arms=tuple(replace(arm, hand=hand) for arm in cell.arms))
     force = options.physics.grip_force
     for arm in cell.arms:

@@ -17,7 +17,7 @@ from types import SimpleNamespace
 import pytest
 import trimesh
 
-from soma_bullet.cli import run_episode
+from soma_bullet.cli.episode import run_episode
 from soma_bullet.planner.plan import AssemblyPlan
 from soma_bullet.records import read_json, write_json
 
@@ -126,8 +126,8 @@ def test_no_assembly_at_all(capsys: Captured) -> None:
         (["som3"], "there is no such assembly; .* did you mean 'soma3'"),
         (["meshes/none.toml"], "there is no such assembly; tried"),
         (["soma3", "--cell", "ur5_pair"], "no such cell; tried .* known cells: .*ur5e_pair"),
-        (["soma3", "--hand", "none.toml"], "none.toml: no such file"),
-        (["soma3", "--hand", "no_cell"], "no such cell"),
+        (["soma3", "--hand", "none.toml"], "none.toml: no such hand; tried .*known hands: .*ur5e_pair"),
+        (["soma3", "--hand", "no_cell"], "no such hand"),
         (["soma3", "--from", "none/plan.json"], "--from: no file none/plan.json"),
     ],
 )

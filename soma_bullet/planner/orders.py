@@ -70,6 +70,17 @@ class OrderRow:
 
 
 @dataclass(frozen=True)
+class _Cell:
+    """One insertion: values of the analyzers, contact type, direction, and the analyzer that rules it out, with its reason."""
+
+    values: tuple[float, ...]
+    type: str
+    direction: Direction | None
+    fault: str
+    reason: str
+
+
+@dataclass(frozen=True)
 class Fault:
     """Why a step cannot be done."""
 
@@ -90,13 +101,15 @@ class Orders:
         self.raw_only = False  # paper mode, where some order is stable throughout: the assisting hand stays away
         self.analyzers = {name: step_analyzer(name) for name in (*STEPS, *qualities.options.analyzers)}
         self._steps: dict[tuple[Placed, int], dict[str, Judgement]] = {}
+        self._cells: dict[tuple[Placed, int], _Cell] = {}
+        self._faults: dict[tuple[tuple[int, ...], int | None], Fault] = {}
         self._paper: dict[Placed, tuple[dict[int, float], Placed]] = {}
 
     # what the search asks
 
     def insertion(self, placed: Placed, piece: int) -> tuple[float, ...]:
         """G, A and the values of further analyzers of one insertion."""
-        return tuple(judgement.quality for judgement in self._judged(placed, piece).values())
+        return self._cell(placed, piece).values
 
     def supports(self, before: Placed, piece: int, held: Placed, upcoming: int | None) -> tuple[Support, ...]:
         """What may be held after `piece` went in. Paper mode: exactly the pieces of zero s (paper Sec. IV-F)."""
@@ -124,7 +137,7 @@ class Orders:
         rows = [self._row(item) for item in followed]
         if not self.paper or not any(row.feasible and row.stable_throughout for row in rows):
             return rows
-        self.raw_only = True  # paper Sec. III and IV-G
+        # paper Sec. III and IV-G: the assisting hand stays away, and raw s counts
         return [self._row(item, raw=True) for item in followed]
 
     def best_rows(self, count: int) -> tuple[list[OrderRow], int]:
@@ -145,8 +158,7 @@ class Orders:
     def _row(self, followed: Followed, raw: bool = False) -> OrderRow:
         order, (_, _, held, s_held) = followed.order, followed.holds
         sets = [frozenset(order[:k]) for k in range(len(order) + 1)]
-        judged = [self._judged(sets[k], piece) for k, piece in enumerate(order)]
-        ways = [self.q.assemblability(piece, sets[k]) for k, piece in enumerate(order)]
+        cells = [self._cell(sets[k], piece) for k, piece in enumerate(order)]
         missing = len(order) - len(held)
         if self.paper:
             states = [self.paper_state(placed) for placed in sets[1:]]
@@ -156,37 +168,54 @@ class Orders:
         else:
             s = tuple(self.holds.judge(placed).quality for placed in sets[1:])
             s_held, held = (*s_held, *[0.0] * missing), (*held, *[NOTHING] * missing)
-        fault = self._fault(followed, judged)
-        minima = (min(s if raw else s_held), *(min(step[name].quality for step in judged) for name in self.analyzers))
+        fault = self._fault(followed, cells)
+        columns = list(zip(*(cell.values for cell in cells), strict=True))  # one for each analyzer
+        score = 0.0 if fault else score_of((min(s if raw else s_held), *map(min, columns)))
         return OrderRow(
             order=tuple(self.names[p] for p in order),
             s=s,
             s_recomputed=s_held,
-            g=tuple(int(step["graspability"].quality) for step in judged),
-            a=tuple(way.quality for way in ways),
-            types=tuple(way.type for way in ways),
-            directions=tuple(None if w.direction is None else rounded(w.direction) for w in ways),
-            held=tuple(tuple(self.names[p] for p in sorted(pieces)) for pieces in held),
-            score=0.0 if fault else score_of(minima),
+            g=tuple(map(int, columns[0])),
+            a=columns[1],
+            types=tuple(cell.type for cell in cells),
+            directions=tuple(cell.direction for cell in cells),
+            held=tuple(self._names_of(pieces) for pieces in held),
+            score=score,
             feasible=fault is None,
             reason=fault.reason if fault else "",
             blocked_by=fault.stage if fault else "",
             blocked_at=fault.step if fault else len(order),
-            extra={name: tuple(step[name].quality for step in judged) for name in self.q.options.analyzers},
+            extra=dict(zip(self.q.options.analyzers, columns[2:], strict=True)),
         )
 
-    def _fault(self, followed: Followed, judged: list[dict[str, Judgement]]) -> Fault | None:
+    def _cell(self, placed: Placed, piece: int) -> _Cell:
+        """What one insertion puts into its row."""
+        if (placed, piece) not in self._cells:
+            way, judged = self.q.assemblability(piece, placed), self._judged(placed, piece)
+            fault = next((name for name, judgement in judged.items() if not judgement.stands), "")
+            self._cells[placed, piece] = _Cell(
+                values=tuple(judgement.quality for judgement in judged.values()),
+                type=way.type,
+                direction=None if way.direction is None else rounded(way.direction),
+                fault=fault,
+                reason=f"{self.names[piece]} into {self._named(placed)}: {judged[fault].reason}" if fault else "",
+            )
+        return self._cells[placed, piece]
+
+    def _names_of(self, pieces: Placed) -> tuple[str, ...]:
+        return tuple(self.names[p] for p in sorted(pieces)) if pieces else ()
+
+    def _fault(self, followed: Followed, cells: list[_Cell]) -> Fault | None:
         """The first step that cannot be done."""
-        order, faults = followed.order, []
-        for k, (piece, step) in enumerate(zip(order, judged, strict=True)):
-            for name, judgement in step.items():
-                if not judgement.stands:
-                    faults.append(Fault(k, name, f"{self.names[piece]} into {self._named(order[:k])}: {judgement.reason}"))
-        if not followed.complete:
-            k = len(followed.holds[2])
+        order, k = followed.order, len(followed.holds[2])
+        first = next((Fault(i, cell.fault, cell.reason) for i, cell in enumerate(cells) if cell.fault), None)
+        if followed.complete or (first is not None and first.step <= k):
+            return first
+        if (order[: k + 1], _next(order, k)) not in self._faults:  # the reason is that of the state, whatever comes later
             fault = self._paper_fault(frozenset(order[: k + 1]), _next(order, k)) if self.paper else None
-            faults.append(Fault(k, *fault) if fault else self.support_fault(order, k))
-        return min(faults, key=lambda fault: fault.step, default=None)
+            found = Fault(k, *fault) if fault else self.support_fault(order, k)
+            self._faults[order[: k + 1], _next(order, k)] = found
+        return self._faults[order[: k + 1], _next(order, k)]
 
     def support_fault(self, order: tuple[int, ...], k: int) -> Fault:
         """Why the state after step k of an order cannot be kept up."""

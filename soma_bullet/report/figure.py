@@ -15,6 +15,7 @@ from soma_bullet.planner.qualities import Qualities
 from soma_bullet.report.raster import Color
 from soma_bullet.report.sheet import DPI, INK, QUIET, Sheet, format_of
 from soma_bullet.report.still import GREEN, GROUPS, RED, Scene, StepStills
+from soma_bullet.report.table import number
 
 TITLES = {
     "stability": ("stability S", "what stands, nothing held"),
@@ -30,8 +31,13 @@ GAP, NUMBER, TITLE, REASON = 0.16, 0.2, 0.42, 0.22  # [in] between groups, above
 CAPTION = 0.62  # [in] of legend and caption
 
 
-def draw_orders(assembly: Assembly, hand: Hand, plan: AssemblyPlan, path: Path | str, rows: int = 6) -> Path:
+def draw_orders(
+    assembly: Assembly, hand: Hand, plan: AssemblyPlan, path: Path | str, rows: int = 6, qualities: Qualities | None = None
+) -> Path:
     """Draw the best `rows` orders by rank, the chosen one always among them, into a PNG, SVG or PDF.
+
+    Args:
+        qualities: those that the plan was made with, to share what was evaluated.
 
     Raises:
         InputError: the ending of `path` is none of these.
@@ -40,7 +46,7 @@ def draw_orders(assembly: Assembly, hand: Hand, plan: AssemblyPlan, path: Path |
     shown = best_rows(plan, rows)
     layout = Layout(len(assembly.pieces), tuple(not row.feasible for row in shown))
     side = round(layout.cell * DPI)
-    stills = StepStills(assembly, hand, Qualities(assembly, hand, plan.options), side, side)
+    stills = StepStills(assembly, hand, qualities or Qualities(assembly, hand, plan.options), side, side)
     sheet = Sheet(layout.width, layout.height)
     if layout.lines == 1:
         for group in GROUPS:
@@ -59,11 +65,6 @@ def best_rows(plan: AssemblyPlan, count: int) -> tuple[OrderRow, ...]:
         chosen = next(row for row in plan.orders if row.order == plan.order)
         shown = (*shown[:-1], chosen)
     return shown
-
-
-def number(value: float) -> str:
-    """A quality as the figure writes it."""
-    return "∞" if math.isinf(value) else f"{value:.3g}"
 
 
 def minima(values: Sequence[float]) -> list[tuple[int, int]]:

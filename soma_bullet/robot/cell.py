@@ -189,6 +189,23 @@ def _find_cell(name_or_path: str | Path) -> Path:
     )
 
 
+def find_hand(name_or_path: str | Path) -> Hand:
+    """The hand of a hand.toml, of a folder that has one, or of a cell's name under `robots/`; nothing else of the cell is read.
+
+    Raises:
+        InputError: there is none, or with every fault of the file.
+    """
+    given = Path(name_or_path)
+    tried = [given, given / "hand.toml", *(folder / given / "hand.toml" for folder in cell_folders())]
+    for path in tried:
+        if path.is_file():
+            return load_hand(path.resolve())
+    names = sorted({path.parent.name for folder in cell_folders() for path in folder.glob("*/hand.toml")})
+    raise InputError(
+        str(name_or_path), f"no such hand; tried {', '.join(map(str, tried))}; known hands: {', '.join(names) or 'none'}"
+    )
+
+
 def load_cell(name_or_path: str | Path) -> Cell:
     """The cell of a name under `robots/`, of a folder, or of a cell.toml.
 

@@ -1,0 +1,1 @@
+"""The command lines: typed options, progress on stderr, exit status for scripts."""
