@@ -10,12 +10,14 @@ import numpy as np
 
 from soma_bullet.assembly.contacts import SUPPORT
 from soma_bullet.assembly.decomposition import NotDecomposableError
+from soma_bullet.assembly.hulls import Hull
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.assembly.workpiece import Workpiece
-from soma_bullet.frames import apply
+from soma_bullet.frames import Indices, apply
 
 SMALLEST, LARGEST = 0.002, 1.0  # [m] plausible sizes of a piece; outside them the unit is the likelier cause
 LARGEST_CLEARANCE = 0.25  # of the thinnest part
+OPPOSITE = np.deg2rad(15.0)  # [rad] between faces that count as the two sides of a wall
 LARGEST_OVERLAP = 1e-4  # of the smaller piece's volume
 LARGEST_SINKING = 1e-5  # [m] of a goal below the support
 SEARCH = 1000.0  # [mm] within which the nearest neighbour of a lost piece is looked for
@@ -33,16 +35,25 @@ def piece_faults(piece: Workpiece) -> Iterator[str]:
         )
         return
     try:
-        parts = piece.parts
+        decomposition = piece.decomposition
     except NotDecomposableError as error:
         yield f"{where}: {error}"
         return
-    thinnest = min(float(np.ptp(part.vertices @ part.axes.T, axis=0).min()) for part in parts)
+    thinnest = min(_thickness(part, faces) for part, faces in zip(decomposition.parts, decomposition.solid_faces, strict=True))
     if piece.clearance >= LARGEST_CLEARANCE * thinnest:
         yield (
             f"{where}: clearance {piece.clearance * 1e3:g} mm eats a part that is {thinnest * 1e3:.4g} mm thin; "
             f"it must be below {LARGEST_CLEARANCE * thinnest * 1e3:.4g} mm"
         )
+
+
+def _thickness(part: Hull, faces: Indices) -> float:
+    """Smallest distance [m] between two opposite faces of a part that both bound the piece; a cut inside it does not move."""
+    if len(faces) == len(part.normals):
+        return float(np.ptp(part.vertices @ part.axes.T, axis=0).min())
+    normals, offsets = part.normals[faces], part.offsets[faces]
+    opposite = normals @ normals.T < -np.cos(OPPOSITE)
+    return float(np.where(opposite, offsets[:, None] + offsets, np.inf).min(initial=np.inf))
 
 
 def goal_faults(assembly: Assembly, whole: bool) -> list[str]:

@@ -36,6 +36,11 @@ class Hull:
         """Face normals (k, 3), one for each direction up to sign."""
         return unique_directions(self.normals)
 
+    @cached_property
+    def bounds(self) -> Array:
+        """Smallest and largest coordinates (2, 3) [m]."""
+        return np.array([self.vertices.min(axis=0), self.vertices.max(axis=0)])
+
     def moved(self, transform: Array) -> Hull:
         """The same polytope after a rigid motion (4, 4)."""
         rotation, shift = transform[:3, :3], transform[:3, 3]

@@ -21,7 +21,7 @@ def zonotope_separation(centres: Array, generators: Array, hulls: Sequence[Hull]
     """Largest gap over the separating axes between n zonotopes and the nearest of some polytopes.
 
     A zonotope is centre + sum of [-1, 1] * generator: a box has three generators, a box swept along a line four.
-    Pairs that a face normal parts by more than FAR are not looked at along the crossed edges, which could only add to the gap.
+    Pairs that an axis parts by more than FAR are not looked at along further ones, which could only add to the gap.
 
     Args:
         centres: (n, 3) [m].
@@ -39,10 +39,16 @@ def zonotope_separation(centres: Array, generators: Array, hulls: Sequence[Hull]
     first, second = np.triu_indices(generators.shape[1], 1)
     own = _cross(spread[:, :, first], spread[:, :, second])
     own_span = _span(own, middle, spread)
+    half = np.abs(generators).sum(axis=1)
     for hull in hulls:
-        shared = np.broadcast_to(hull.axes.T[:, None], (3, len(centres), len(hull.axes)))
-        gap = _widest_gap(own, own_span, hull)
-        gap = np.maximum(gap, _widest_gap(shared, _span(shared, middle, spread), hull))
+        # boxes along the axes of the frame tell most pairs apart
+        gap = np.maximum(centres - half - hull.bounds[1], hull.bounds[0] - centres - half).max(axis=1)
+        close = np.flatnonzero(gap < FAR)
+        if len(close):
+            at, reach = own_span[0][close], own_span[1][close]
+            gap[close] = np.maximum(gap[close], _widest_gap(own[:, close], (at, reach), hull))
+            shared = np.broadcast_to(hull.axes.T[:, None], (3, len(close), len(hull.axes)))
+            gap[close] = np.maximum(gap[close], _widest_gap(shared, _span(shared, middle[:, close], spread[:, close]), hull))
         near = np.flatnonzero(gap < FAR)
         if len(near):
             crossed = _cross(spread[:, near, :, None], hull.edges.T[:, None, None]).reshape(3, len(near), -1)
@@ -135,7 +141,12 @@ def swept_separation(moving: Sequence[Hull], sweep: Array, fixed: Sequence[Hull]
     for body in moving:
         edges = np.vstack([body.edges, line])
         normals = np.vstack([body.axes, np.cross(line.repeat(len(body.edges), 0), body.edges)]) if length > 0 else body.axes
+        low, high = body.bounds[0] + np.minimum(sweep, 0.0), body.bounds[1] + np.maximum(sweep, 0.0)
         for other in fixed:
+            apart = float(np.maximum(other.bounds[0] - high, low - other.bounds[1]).max())
+            if apart > 0.0:  # their boxes tell: a gap along an axis of the frame
+                smallest = min(smallest, apart)
+                continue
             crossed = np.cross(edges[:, None], other.edges[None]).reshape(-1, 3)
             axes = np.vstack([normals, other.axes, crossed])
             norms = np.linalg.norm(axes, axis=1)
@@ -144,7 +155,7 @@ def swept_separation(moving: Sequence[Hull], sweep: Array, fixed: Sequence[Hull]
             along = axes @ sweep
             mine = axes @ body.vertices.T
             theirs = axes @ other.vertices.T
-            low, high = mine.min(1) + np.minimum(along, 0), mine.max(1) + np.maximum(along, 0)
-            gap = np.maximum(theirs.min(1) - high, low - theirs.max(1)).max()
+            near, far = mine.min(1) + np.minimum(along, 0), mine.max(1) + np.maximum(along, 0)
+            gap = np.maximum(theirs.min(1) - far, near - theirs.max(1)).max()
             smallest = min(smallest, float(gap))
     return smallest
