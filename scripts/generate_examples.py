@@ -1,4 +1,4 @@
-"""Writes the meshes of the example assemblies: meshes/<product>/*.obj, .stl, .ply and .glb. Their .toml files are written by hand.
+"""Writes the meshes of the example assemblies (meshes/<product>/*.obj, .stl, .ply, .glb); the .toml files are written by hand.
 
 Every piece lies in its own frame, with the origin in the middle of its underside unless its function says otherwise; sizes here
 are in mm, files in the unit of their assembly. The same bytes each time.
@@ -19,7 +19,8 @@ from soma_bullet.frames import Array
 Solids = dict[str, Manifold]  # by the name of the mesh file
 
 ROUND = 24  # sections of a peg and of its hole: equal, so that they fit face to face
-FINE = 16  # ... of thin ones
+FINE = 16  # ... of thinner ones
+COARSE = 12  # ... of the thinnest; each costs parts and planning time
 PER_MM = {"mm": 1.0, "cm": 0.1, "m": 1e-3, "in": 1 / 25.4}
 
 
@@ -66,7 +67,7 @@ def leaning_bridge() -> Solids:
     """An A of two legs and one of two rafters; each origin lies in the axis of its pair, on the plane that it stands on."""
 
     def pair(foot: float, rise: float, width: float) -> tuple[Manifold, Manifold]:
-        """Beams with feet at -foot and foot, and axes that meet at `rise`; the first butts against the underside of the second."""
+        """Beams with feet at -foot and foot, and axes that meet at `rise`; the first butts against the second from below."""
         along = np.array((foot, rise)) / np.hypot(foot, rise)
         across = np.array((-along[1], along[0])) * width / 2
         axis = np.array([-along, along]) * 300.0 - (foot, 0)
@@ -92,30 +93,30 @@ def arch() -> Solids:
         return prism(np.vstack([arc * outer, arc[::-1] * inner]), depth)
 
     shoulder = block(24, depth, 26).translate([54, 0, 0]) - Manifold.cylinder(60, 40, 40, 64, True).rotate([90, 0, 0])
-    return {
-        "springer.ply": stone(0, 36) + shoulder, "pier.ply": stone(0, 72) + shoulder,
-        "haunch.ply": stone(36, 72), "keystone.ply": stone(72, 108),
-    }  # fmt: skip
+    return {"springer.ply": stone(0, 36) + shoulder, "haunch.ply": stone(36, 72), "keystone.ply": stone(72, 108)}
 
 
 def gears() -> Solids:
-    """Ten and fourteen teeth of module 3, straight-sided, with play at the flanks; hubs to grip them by."""
+    """Ten and fourteen teeth of module 3, straight-sided, with play at the flanks; hubs to grip them by.
 
-    def gear(teeth: int, module: float = 3.0) -> Manifold:
+    The pinion's teeth are half a tooth on, so that its bore, like all, lies with its sections as its shaft does.
+    """
+
+    def gear(teeth: int, ahead: float = 0.0, module: float = 3.0) -> Manifold:
         pitch = module * teeth / 2
         # radius, and half the angle of a tooth there in pitches; the tooth is thinner than half a pitch: backlash
         profile = ((pitch - 1.1 * module, 0.36), (pitch, 0.22), (pitch + 0.9 * module, 0.09))
         corners = []
         for k in range(teeth):
             for radius, half in (*[(r, -h) for r, h in profile], *[(r, h) for r, h in profile[::-1]]):
-                angle = 2 * np.pi * (k + half) / teeth
+                angle = 2 * np.pi * (k + ahead + half) / teeth
                 corners.append((radius * np.cos(angle), radius * np.sin(angle)))
         rim = Manifold.extrude(CrossSection([corners], FillRule.Positive), 10)
-        return rim + peg(9, 22, FINE) - peg(4, 30, FINE)
+        return rim + peg(9, 22, FINE) - peg(4, 30, COARSE)
 
-    hole = peg(4, 20, FINE).translate([0, 0, 5])
+    hole = peg(4, 20, COARSE).translate([0, 0, 5])
     plate = block(82, 48, 14) - hole.translate([-21, 0, 0]) - hole.translate([15, 0, 0])
-    return {"plate.glb": plate, "shaft.glb": peg(4, 50, FINE), "pinion.glb": gear(10), "wheel.glb": gear(14)}
+    return {"plate.glb": plate, "shaft.glb": peg(4, 50, COARSE), "pinion.glb": gear(10, 0.5), "wheel.glb": gear(14)}
 
 
 def dovetail() -> Solids:
@@ -171,9 +172,24 @@ def wedge_clamp() -> Solids:
     return {"trough.obj": trough, "work.obj": block(40, 36, 44), "fixed.obj": fixed, "driven.obj": driven}
 
 
+def burr() -> Solids:
+    """The six-piece burr without a hollow inside: only the key comes out first; the origin of all is its centre."""
+    unit = 9.0
+
+    def bar(low: tuple[int, int, int], high: tuple[int, int, int]) -> Manifold:
+        """A box between two corners, in units."""
+        size = [unit * (b - a) for a, b in zip(low, high, strict=True)]
+        return Manifold.cube(size).translate([unit * a for a in low])
+
+    post = bar((-2, -1, -4), (0, 1, 4)) - bar((-1, -1, -2), (0, 1, 2))
+    cross = bar((-4, -2, -1), (4, 0, 1)) - bar((-2, -1, -1), (2, 0, 1)) - bar((-1, -2, 0), (1, -1, 1))
+    beam = bar((-1, -4, -2), (1, 4, 0)) - bar((-1, -2, -1), (1, -1, 0)) - bar((-1, 1, -1), (1, 2, 0))
+    return {"post.obj": post, "cross.obj": cross, "beam.obj": beam, "key.obj": bar((-1, -4, 0), (1, 4, 2))}
+
+
 PRODUCTS: tuple[tuple[Callable[[], Solids], str], ...] = (
     (dowel, "mm"), (bracket, "in"), (sliding_lid, "mm"), (leaning_bridge, "cm"), (arch, "mm"), (gears, "m"),
-    (dovetail, "in"), (stool, "mm"), (tower, "cm"), (hinge, "mm"), (crate, "mm"), (wedge_clamp, "mm"),
+    (dovetail, "in"), (stool, "mm"), (tower, "cm"), (hinge, "mm"), (crate, "mm"), (wedge_clamp, "mm"), (burr, "mm"),
 )  # fmt: skip
 
 

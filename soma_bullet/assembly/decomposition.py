@@ -34,12 +34,13 @@ MOST_NOTCHES = 1200  # planes through them; a mesh with more is curved inwards a
 MOST_PARTS = 150
 MOST_CUTS = 10 * MOST_PARTS
 STRAIGHT = 1e-6  # relative volume that the hull of a convex cut may add
-SLIVER = 1e-7  # of the volume: what a cut leaves below this is rounding
+FILM = 5e-5  # [mm] ... and what is thinner than this
+SLIVER = 1e-6  # of the volume: what a cut leaves below this is rounding
 LARGEST_RATIO = 1.05  # volume of the parts' union in volumes of the mesh
 LARGEST_DEVIATION = 1e-3  # [m] by which a part may stand out of the mesh
 CONCAVITY = 0.02  # CoACD's threshold
 MILLI = 1e3  # cuts are made in mm, where the library's tolerances fit
-_VERSION = "1"  # of the cached parts
+_VERSION = "3"  # of the cached parts
 
 
 class NotDecomposableError(ValueError):
@@ -138,7 +139,8 @@ def cut_at_notches(vertices: Array, faces: Array) -> list[Array] | None:
         halves = next((pair for pair in split if min(half.volume() for half in pair) > 0.0), None)
         if halves is None:
             return None
-        waiting += [part for half in halves for part in half.decompose() if part.volume() > smallest]
+        parts = [part for half in halves for part in half.decompose()]
+        waiting += [part for part in parts if part.volume() > max(smallest, FILM * part.surface_area())]
     if waiting:
         return None
     return sorted(convex, key=lambda points: tuple(np.round(points.mean(axis=0), 9)))

@@ -84,6 +84,11 @@ class Workpiece:
         return self.decomposition.parts
 
     @cached_property
+    def roughness(self) -> float:
+        """How far the parts may stand out of the body that is meant [m]: by its tessellation, and by its decomposition."""
+        return max((facet.sagitta for facet in self.facets), default=0.0) + self.decomposition.deviation
+
+    @cached_property
     def body_parts(self) -> tuple[Hull, ...]:
         """Convex polytopes of the real body: `parts` with every face of the body inset by the clearance."""
         return self.decomposition.inset(self.clearance)

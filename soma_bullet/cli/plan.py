@@ -30,7 +30,7 @@ class PlanArguments:
     seed: int = 0
     """Picks among orders of equal score."""
     analyzer: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """A further analyzer of steps, as module:function; may be given several times (see soma_bullet/planner/analyzers.py)."""
+    """A further analyzer of steps: grounded (no piece is put into the air), or your own as module:function; repeatable."""
     push: float = 2.0
     """A hold must resist this force of the next insertion [N] ..."""
     disturbance: float = 0.1

@@ -23,6 +23,8 @@ from soma_bullet.errors import InputError
 if TYPE_CHECKING:
     from soma_bullet.planner.qualities import Placed, Qualities
 
+CARRIES = 0.1  # upward part of a unit contact normal into the piece that is carried
+
 
 @dataclass(frozen=True)
 class Judgement:
@@ -76,7 +78,18 @@ def assemblability(qualities: Qualities, placed: Placed, piece: int) -> Judgemen
     return Judgement(0.0, f"has no straight way in ({way.type}, blocked by {by})")
 
 
-STEPS: dict[str, StepAnalyzer] = {"graspability": graspability, "assemblability": assemblability}
+def grounded(qualities: Qualities, placed: Placed, piece: int) -> Judgement:
+    """Rules out that a piece is put into the air, with nothing below it, and held there until something is slid under it.
+
+    Not part of the paper's score; ask for it by name.
+    """
+    if any(contact.normal[2] > CARRIES for contact in qualities.assembly.contacts_of(piece, placed)):
+        return Judgement(1.0)
+    return Judgement(0.0, "would hang in the air: nothing that is placed carries it")
+
+
+STEPS: dict[str, StepAnalyzer] = {"graspability": graspability, "assemblability": assemblability}  # of every plan
+FURTHER: dict[str, StepAnalyzer] = {"grounded": grounded}
 STATES: dict[str, StateAnalyzer] = {"equilibrium": equilibrium}
 PAPER = "paper"  # judges single pieces; its holds follow from their qualities (paper Sec. IV-F)
 
@@ -88,7 +101,7 @@ def state_analyzer(name: str) -> StateAnalyzer:
 
 def step_analyzer(name: str) -> StepAnalyzer:
     """The analyzer of steps of that name. Raises InputError."""
-    return _found(name, STEPS, "analyzer")
+    return _found(name, STEPS | FURTHER, "analyzer")
 
 
 def _found(name: str, known: dict[str, Any], option: str) -> Any:

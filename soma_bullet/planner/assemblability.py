@@ -179,7 +179,12 @@ def finite_quality(kind: str, clearance: float) -> float:
 
 
 def analyse_assemblability(
-    contacts: Sequence[Contact], parts: Sequence[Hull], placed_parts: Mapping[int, Sequence[Hull]], scale: Scale, support: float
+    contacts: Sequence[Contact],
+    parts: Sequence[Hull],
+    placed_parts: Mapping[int, Sequence[Hull]],
+    scale: Scale,
+    support: float,
+    slack: Mapping[int, float] | None = None,
 ) -> Assemblability:
     """Best straight way in for a piece.
 
@@ -189,6 +194,7 @@ def analyse_assemblability(
         placed_parts: convex parts of every placed piece at its goal.
         scale: `finite` or `ordinal` values.
         support: height of the support plane [m].
+        slack: for each placed piece how far the parts of both may stand out of the bodies that they stand for [m].
     """
     normals = np.array([c.normal for c in contacts]).reshape(-1, 3)
     freedom = analyse_freedom(normals)
@@ -198,7 +204,7 @@ def analyse_assemblability(
     first_blockers: tuple[int, ...] = ()
     for k, removal in enumerate([freedom.best, *freedom.alternatives]):
         size = float(np.ptp(vertices @ removal))
-        blockers = sweep_blockers(parts, removal * size, placed_parts, support)
+        blockers = sweep_blockers(parts, removal * size, placed_parts, support, slack)
         if not blockers:
             clearance = freedom.clearance if k == 0 else _clearance_along(removal, normals, freedom)
             quality = ORDINAL[freedom.type] if scale == "ordinal" else finite_quality(freedom.type, clearance)
@@ -216,12 +222,16 @@ def _clearance_along(removal: Array, normals: Array, freedom: Freedom) -> float:
 
 
 def sweep_blockers(
-    parts: Sequence[Hull], sweep: Array, placed_parts: Mapping[int, Sequence[Hull]], support: float
+    parts: Sequence[Hull],
+    sweep: Array,
+    placed_parts: Mapping[int, Sequence[Hull]],
+    support: float,
+    slack: Mapping[int, float] | None = None,
 ) -> tuple[int, ...]:
     """Indices of the placed pieces (-1: the support) that parts swept by `sweep` (3,) [m] would enter."""
     lowest = min(float(part.vertices[:, 2].min()) for part in parts)
     blockers = [-1] if lowest + min(0.0, sweep[2]) < support - PENETRATION else []
     for piece, others in placed_parts.items():
-        if swept_separation(parts, sweep, others) < -PENETRATION:
+        if swept_separation(parts, sweep, others) < -PENETRATION - (slack or {}).get(piece, 0.0):
             blockers.append(piece)
     return tuple(blockers)

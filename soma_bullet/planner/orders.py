@@ -64,6 +64,11 @@ class OrderRow:
     extra: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
     @property
+    def holds(self) -> int:
+        """Number of holds, summed over the steps."""
+        return sum(map(len, self.held))
+
+    @property
     def stable_throughout(self) -> bool:
         """No state of the order needs a hand."""
         return all(value > 0 for value in self.s)

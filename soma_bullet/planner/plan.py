@@ -137,7 +137,7 @@ class AssemblyPlan:
         orders: the row of every order, best first; of more than MOST_ENUMERATED pieces the best orders alone. Their holds are
             certified in the chosen order and its alternatives only.
         optimality: what the search guarantees.
-        ties: orders whose score equals the best one's.
+        ties: orders whose score equals the best one's; the seed picks among those with the fewest holds.
         warnings: sentences.
         passed_over: orders that scored better and cannot be built, with the reason.
         sensitivity: paper mode only.
@@ -214,7 +214,9 @@ def _plan(orders: Orders, options: PlannerOptions, excluded: frozenset[tuple[str
         what = f"none of the {len(ranked)} orders" if ranked else "no order"
         raise NoPlanError(f"{what} of {assembly.name} can be built", reasons + Counter(refusals), tuple(ranked))
     ties = [row for row in candidates if math.isclose(row.score, candidates[0].score, rel_tol=1e-9)]
-    first = ties[int(np.random.default_rng(options.seed).integers(len(ties)))]
+    fewest = min(row.holds for row in ties)  # of equal scores the one that needs the hands least
+    easiest = [row for row in ties if row.holds == fewest]
+    first = easiest[int(np.random.default_rng(options.seed).integers(len(easiest)))]
     planned: list[PlannedOrder] = []
     passed_over: list[str] = []
     for row in [first, *(row for row in candidates if row is not first)]:
@@ -243,7 +245,7 @@ def _plan(orders: Orders, options: PlannerOptions, excluded: frozenset[tuple[str
         orders=tuple(ranked),
         optimality=optimality,
         ties=tuple(row.order for row in ties) if len(ties) > 1 else (),
-        warnings=(*_approximations(assembly), *(_false_stable(orders, ranked) if orders.paper else ())),
+        warnings=(*_approximations(assembly), *_hanging(chosen), *(_false_stable(orders, ranked) if orders.paper else ())),
         passed_over=(*refusals, *passed_over),
         sensitivity=tuple(_sensitivity(qualities, chosen)) if orders.paper else (),
         versions=package_versions(),
@@ -330,6 +332,16 @@ def _hold(orders: Orders, placed: Placed, piece: int, upcoming: int | None, verd
         f"holding {assembly.names[piece]} in {{{state}}}: the best of {len(indices)} grasps takes {margin:.2f} x the load "
         f"({load.push:g} N of the next insertion, {load.disturbance:g} g sideways), and must take {SMALLEST_MARGIN:g} x"
     )
+
+
+def _hanging(row: OrderRow) -> list[str]:
+    """Pieces of the chosen order that touch nothing when they are placed."""
+    return [
+        f"{name} touches nothing when it is placed and hangs in a hand until {' and '.join(row.order[k + 1 :])} come; the analyzer "
+        "`grounded` rules such orders out"
+        for k, (name, kind) in enumerate(zip(row.order, row.types, strict=True))
+        if kind == "free"
+    ]
 
 
 def _approximations(assembly: Assembly) -> list[str]:

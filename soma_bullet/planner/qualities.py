@@ -36,7 +36,8 @@ class PlannerOptions:
         hands: hands of the robot; one inserts, the others may hold.
         seed: breaks exact ties of score.
         top: how many of the best orders are worked out step by step.
-        analyzers: further analyzers of steps, as `module:function`; their smallest values are factors of the score.
+        analyzers: further analyzers of steps: `grounded`, or your own as `module:function`; their smallest values are factors of
+            the score.
         load: what a hold must resist beside gravity.
         sampling: how grasps are sampled.
     """
@@ -117,6 +118,7 @@ class Qualities:
                 others,
                 "ordinal" if self.options.stability == "paper" else "finite",
                 self.assembly.support.height,
+                {k: self.assembly.pieces[piece].roughness + self.assembly.pieces[k].roughness for k in others},
             )
         return self._ways[key]
 

@@ -24,7 +24,7 @@ def explain_plan(plan: AssemblyPlan) -> Tree:
     for k, other in enumerate(plan.alternatives):
         _add_order(tree, f"{k + 2}.", other)
     if plan.ties:
-        ties = tree.add(f"{len(plan.ties)} orders tie with it; the seed ({plan.options.seed}) picked one")
+        ties = tree.add(f"{len(plan.ties)} orders score the same; the seed ({plan.options.seed}) picks among the fewest holds")
         _add_lines(ties, [" <- ".join(order) for order in plan.ties], MOST_TIES)
     if plan.passed_over:
         _add_lines(tree.add("would score better, and cannot be built"), plan.passed_over, MOST_REASONS)
