@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 
 from soma_bullet.assembly.contacts import SUPPORT, Contact, find_contacts
 from soma_bullet.assembly.hulls import Hull
+from soma_bullet.assembly.separation import swept_separation
 from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.frames import Array, apply
+
+MEETING = 1e-3  # [m] pieces that are nearer than this at their goals meet, if only along an edge
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,17 @@ class Assembly:
     def goal_centres(self) -> Array:
         """Centres of mass (n, 3) [m] at the goals, in the assembly frame."""
         return np.array([apply(g, p.center_of_mass) for p, g in zip(self.pieces, self.goals, strict=True)])
+
+    @cached_property
+    def meeting(self) -> frozenset[frozenset[int]]:
+        """Pairs of bodies (SUPPORT among them) that meet in the finished assembly: by a face, along an edge or at a corner."""
+        faces = {frozenset((contact.body_a, contact.body_b)) for contact in self.contacts}
+        edges = {
+            frozenset((a, b))
+            for a, b in combinations(range(len(self.pieces)), 2)
+            if swept_separation(self.goal_parts[a], np.zeros(3), self.goal_parts[b]) < MEETING
+        }
+        return frozenset(faces | edges)
 
     def contacts_of(self, piece: int, placed: frozenset[int]) -> tuple[Contact, ...]:
         """Contacts of `piece` with the placed pieces and the support, each oriented with its normal into `piece`."""

@@ -337,9 +337,9 @@ def _hold(orders: Orders, placed: Placed, piece: int, upcoming: int | None, verd
 def _hanging(row: OrderRow) -> list[str]:
     """Pieces of the chosen order that touch nothing when they are placed."""
     return [
-        f"{name} touches nothing when it is placed and hangs in a hand until {' and '.join(row.order[k + 1 :])} come; the analyzer "
-        "`grounded` rules such orders out"
-        for k, (name, kind) in enumerate(zip(row.order, row.types, strict=True))
+        f"{name} touches nothing when it is placed and hangs in a hand until something is put below it; the analyzer `grounded` "
+        "rules such orders out"
+        for name, kind in zip(row.order, row.types, strict=True)
         if kind == "free"
     ]
 

@@ -36,8 +36,8 @@ class PlannerOptions:
         hands: hands of the robot; one inserts, the others may hold.
         seed: breaks exact ties of score.
         top: how many of the best orders are worked out step by step.
-        analyzers: further analyzers of steps: `grounded`, or your own as `module:function`; their smallest values are factors of
-            the score.
+        analyzers: further analyzers of steps: `grounded`, or your own as `module:function`; their smallest values are factors
+            of the score.
         load: what a hold must resist beside gravity.
         sampling: how grasps are sampled.
     """

@@ -215,7 +215,7 @@ def _holds(log: ExecutionLog) -> list[HoldDrift]:
 
 def _forbidden(log: ExecutionLog, assembly: Assembly, cell: Cell) -> list[ForbiddenContact]:
     name = lambda k: STAND if k == SUPPORT else assembly.names[k]  # noqa: E731
-    meant = {frozenset((name(c.body_a), name(c.body_b))) for c in assembly.contacts}
+    meant = {frozenset(name(k) for k in pair) for pair in assembly.meeting}
     lifted = {s.piece: s.end for s in log.segments if s.kind == "lift"}
     fingers = {link: arm.name for arm in cell.arms for link in arm.finger_links}
     gripping = _gripping_spans(log)

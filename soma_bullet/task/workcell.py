@@ -104,9 +104,9 @@ class Workcell:
 
     @cached_property
     def touching(self) -> frozenset[frozenset[str]]:
-        """Pairs of bodies that touch in the finished assembly."""
+        """Pairs of bodies that touch in the finished assembly, also along an edge or at a corner."""
         name = lambda k: STAND if k == SUPPORT else self.assembly.names[k]  # noqa: E731
-        return frozenset(frozenset((name(c.body_a), name(c.body_b))) for c in self.assembly.contacts)
+        return frozenset(frozenset(name(k) for k in pair) for pair in self.assembly.meeting)
 
     def idle(self) -> Hands:
         """Both arms at home, hands closed and empty."""
