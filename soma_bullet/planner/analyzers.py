@@ -62,11 +62,11 @@ def _resists(margin: float, sides: float) -> str:
 
 
 def graspability(qualities: Qualities, placed: Placed, piece: int) -> Judgement:
-    """G: the number of grasps whose hand and way out are clear of the placed set and the support (paper Sec. IV-C)."""
+    """G: the number of grasps whose hand, way in and way out are clear of the placed set and the support (paper Sec. IV-C)."""
     count = qualities.graspability(piece, placed)
     if count:
         return Judgement(float(count))
-    return Judgement(0.0, f"has no accessible grasp: {qualities.why_no_grasp(piece, placed)}")
+    return Judgement(0.0, f"has no candidate grasp: {qualities.why_no_grasp(piece, placed)}")
 
 
 def assemblability(qualities: Qualities, placed: Placed, piece: int) -> Judgement:

@@ -35,7 +35,7 @@ class OrderRow:
         order: names of the pieces.
         s: stability when the piece is placed, nothing held.
         s_recomputed: stability with the assisting hand.
-        g: number of accessible grasps.
+        g: number of candidate grasps.
         a: assemblability.
         types: contact types of the assemblability.
         directions: unit assembly directions; None where there is no way in.
@@ -131,7 +131,7 @@ class Orders:
     def bound(self, placed: Placed) -> tuple[float, ...]:
         """No completion of a placed set reaches larger minima: fewer grasps are left the more is placed."""
         left = [piece for piece in range(self.count) if piece not in placed]
-        fewest = min((self.insertion(placed, piece)[0] for piece in left), default=math.inf)
+        fewest = min((float(len(self.q.accessible(piece, placed))) for piece in left), default=math.inf)
         return (math.inf, fewest, *([math.inf] * (len(self.analyzers) - 1)))
 
     # rows

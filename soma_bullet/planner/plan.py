@@ -72,7 +72,7 @@ class PlanStep:
         direction: unit assembly direction in the assembly frame.
         way: length of the straight way in [m].
         type: contact type.
-        grasps: indices of the accessible grasps in the piece's table.
+        grasps: indices of the candidate grasps in the piece's table: clear on the way in, at the goal and on the way out.
         holds: what equilibrium asks to hold afterwards.
         verdict, margin, margin_sides: equilibrium of the state with the holds [g].
     """
@@ -296,7 +296,7 @@ def _steps(orders: Orders, order: tuple[int, ...], held: tuple[Placed, ...]) -> 
                 direction=rounded(way.direction),
                 way=way_length(assembly, piece, way.direction),
                 type=way.type,
-                grasps=tuple(int(i) for i in qualities.accessible(piece, before)),
+                grasps=tuple(int(i) for i in qualities.candidates(piece, before)),
                 holds=tuple(holds),
                 verdict=state.verdict,
                 margin=state.margin,
@@ -337,8 +337,8 @@ def _hold(orders: Orders, placed: Placed, piece: int, upcoming: int | None, verd
 def _hanging(row: OrderRow) -> list[str]:
     """Pieces of the chosen order that touch nothing when they are placed."""
     return [
-        f"{name} touches nothing when it is placed and hangs in a hand until something is put below it; the analyzer `grounded` "
-        "rules such orders out"
+        f"{name} touches nothing when it is placed and hangs in a hand until something is put below it; the analyzer "
+        "`grounded` rules such orders out"
         for name, kind in zip(row.order, row.types, strict=True)
         if kind == "free"
     ]

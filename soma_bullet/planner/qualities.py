@@ -61,6 +61,8 @@ class Qualities:
         self._grasps: dict[int, GraspSet] = {}
         self._clear: dict[tuple[int, int], Mask] = {}
         self._ways: dict[tuple[int, Placed], Assemblability] = {}
+        self._entering: dict[tuple[int, int, tuple[float, ...]], Mask] = {}
+        self._candidates: dict[tuple[int, Placed], Indices] = {}
         self._accessible: dict[tuple[int, Placed], Indices] = {}
         self._spared: dict[tuple[int, Placed, int], Indices] = {}
         self._assisting: dict[tuple[int, Placed, int | None], Indices] = {}
@@ -103,9 +105,22 @@ class Qualities:
             self._accessible[key] = np.flatnonzero(clear)
         return self._accessible[key]
 
+    def candidates(self, piece: int, placed: Placed) -> Indices:
+        """Indices of the accessible grasps whose hand is clear of the placed set on the way in too, all along the insertion."""
+        key = (piece, placed)
+        if key not in self._candidates:
+            indices, direction = self.accessible(piece, placed), self.assemblability(piece, placed).direction
+            if direction is not None and len(indices):
+                clear = self._enters(piece, SUPPORT, direction).copy()
+                for other in sorted(placed):
+                    clear &= self._enters(piece, other, direction)
+                indices = indices[clear[indices]]
+            self._candidates[key] = indices
+        return self._candidates[key]
+
     def graspability(self, piece: int, placed: Placed) -> int:
-        """G: the number of accessible grasps (paper Sec. IV-C)."""
-        return len(self.accessible(piece, placed))
+        """G: the number of candidate grasps (paper Sec. IV-C)."""
+        return len(self.candidates(piece, placed))
 
     def assemblability(self, piece: int, placed: Placed) -> Assemblability:
         """A and the assembly direction of `piece` into the placed set (without it)."""
@@ -130,7 +145,9 @@ class Qualities:
         names = {SUPPORT: "the support"} | dict(enumerate(self.assembly.names))
         blocked = {names[k]: int((~self._clear_of(piece, k)).sum()) for k in (SUPPORT, *sorted(placed - {piece}))}
         ranked = sorted(((hits, name) for name, hits in blocked.items() if hits), key=lambda item: -item[0])
-        return f"of {count} " + ", ".join(f"{hits} hit {name}" for hits, name in ranked)
+        said = [f"{hits} hit {name}" for hits, name in ranked]
+        late = len(self.accessible(piece, placed)) - len(self.candidates(piece, placed))
+        return f"of {count} " + ", ".join([*said, f"{late} more hit something on the way in"] if late else said)
 
     def assisting(self, piece: int, placed: Placed, upcoming: int | None, direction: Array | None) -> Indices:
         """Indices of the grasps that may hold a placed piece while the next one comes in (paper Sec. IV-F).
@@ -148,7 +165,7 @@ class Qualities:
         if upcoming is None or direction is None or (piece, placed, upcoming) in self._assisting:
             return bool(len(self.assisting(piece, placed, upcoming, direction)))
         way = direction * way_length(self.assembly, upcoming, direction)
-        indices, inserting = self._clear_of_way(piece, placed, upcoming, way), self.accessible(upcoming, placed)
+        indices, inserting = self._clear_of_way(piece, placed, upcoming, way), self.candidates(upcoming, placed)
         if not len(indices) or not len(inserting):
             return False
         few, some = (chosen[:: max(1, len(chosen) // FEW)] for chosen in (indices, inserting))
@@ -171,7 +188,7 @@ class Qualities:
             return self.accessible(piece, placed)
         way = direction * way_length(self.assembly, upcoming, direction)
         indices = self._clear_of_way(piece, placed, upcoming, way)
-        inserting, clear = self.accessible(upcoming, placed), np.zeros(len(indices), bool)
+        inserting, clear = self.candidates(upcoming, placed), np.zeros(len(indices), bool)
         for few in (inserting[:: max(1, len(inserting) // SPREAD)], inserting):  # a few that are spread out mostly suffice
             left = np.flatnonzero(~clear)
             if not len(left) or not len(few):
@@ -187,7 +204,7 @@ class Qualities:
         chosen = [indices[:: max(1, len(indices) // (2 * SPREAD))] for indices in chosen]
         sweeps = [self._holding(k, indices) for k, indices in zip(pieces, chosen, strict=True)]
         if upcoming is not None and direction is not None:
-            inserting = self.accessible(upcoming, placed)
+            inserting = self.candidates(upcoming, placed)
             few = inserting[:: max(1, len(inserting) // (2 * SPREAD))]
             sweeps.append(self._arriving(upcoming, few, direction * way_length(self.assembly, upcoming, direction)))
         clear = {(i, j): hands_clear(sweeps[i], sweeps[j]) for i, j in itertools.combinations(range(len(sweeps)), 2)}
@@ -212,6 +229,19 @@ class Qualities:
         """The hand as it brings a piece along its way (3,) [m], lets go and leaves."""
         chosen = self.grasps(piece).take(indices)
         return sweep_hand(self.hand, self.assembly.goals[piece] @ chosen.Ts_piece_tcp, chosen.widths, sweep=-way)
+
+    def _enters(self, piece: int, other: int, direction: Array) -> Mask:
+        """Which grasps of `piece` keep the hand clear of another body all along the insertion of the piece: bool (n,)."""
+        key = (piece, other, tuple(np.round(direction, 6)))
+        if key not in self._entering:
+            grasps, goal = self.grasps(piece), self.assembly.goals[piece]
+            way = direction * way_length(self.assembly, piece, direction)
+            sweep = sweep_hand(self.hand, goal @ grasps.Ts_piece_tcp, grasps.widths, way_out=0.0, sweep=-way)
+            if other == SUPPORT:
+                self._entering[key] = clear_of_scene(sweep, (), self.assembly.support.height)
+            else:
+                self._entering[key] = clear_of_scene(sweep, self.assembly.goal_parts[other], None)
+        return self._entering[key]
 
     def _clear_of(self, piece: int, other: int) -> Mask:
         """Which grasps of `piece` keep the hand and its way out clear of one other piece, or of the support: bool (n,)."""

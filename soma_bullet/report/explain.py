@@ -75,7 +75,7 @@ def _add_order(tree: Tree, label: str, planned: PlannedOrder) -> None:
 
 def _insertion(step: PlanStep) -> str:
     along = ", ".join(f"{value:.2f}" for value in step.direction)
-    return f"along ({along}) over {step.way * 1e3:.0f} mm; contact type {step.type}; {len(step.grasps)} accessible grasps"
+    return f"along ({along}) over {step.way * 1e3:.0f} mm; contact type {step.type}; {len(step.grasps)} candidate grasps"
 
 
 def _margin(step: PlanStep) -> str:

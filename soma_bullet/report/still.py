@@ -109,7 +109,7 @@ class StepStills:
         ]
 
     def _gripped(self, piece: int, before: frozenset[int]) -> Scene:
-        hands = self._hands(piece, self.qualities.accessible(piece, before), GREEN, HANDS)
+        hands = self._hands(piece, self.qualities.candidates(piece, before), GREEN, HANDS)
         return Scene(("gripped", piece, before), (*self._pieces(before | {piece}), *hands), "hands")
 
     def _held(

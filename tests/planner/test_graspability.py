@@ -14,12 +14,13 @@ from scipy.spatial import KDTree
 
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
+from soma_bullet.assembly.separation import swept_separation
 from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.frames import Array, apply
 from soma_bullet.grasp.clearance import MARGIN, OPENING, SUPPORT_MARGIN, WAY_OUT, hand_hulls, sweep_hand
 from soma_bullet.grasp.hand import Hand
 from soma_bullet.grasp.sampling import GraspSet, SamplingOptions, sample_grasps
-from soma_bullet.planner.qualities import PlannerOptions, Qualities
+from soma_bullet.planner.qualities import PlannerOptions, Qualities, way_length
 
 ALL = {name: load_assembly(name) for name in ("soma3", "soma4")}
 PIECES = {piece.name: piece for whole in ALL.values() for piece in whole.pieces}
@@ -89,7 +90,8 @@ def test_each_piece_around_leaves_fewer_grasps(name: str, qualities: dict[str, Q
         for others in permutations([k for k in range(count) if k != piece]):
             left = [set(judge.accessible(piece, frozenset(others[:k])).tolist()) for k in range(len(others) + 1)]
             assert all(after <= before for before, after in zip(left, left[1:], strict=False))
-            assert judge.graspability(piece, frozenset(others)) == len(left[-1])
+            chosen = judge.candidates(piece, frozenset(others)).tolist()  # clear on the way in too
+            assert set(chosen) <= left[-1] and judge.graspability(piece, frozenset(others)) == len(chosen)
             assert left[0] <= set(range(len(judge.grasps(piece))))
 
 
@@ -173,3 +175,23 @@ def test_points_of_a_moved_piece_move_with_it() -> None:
     for piece, goal, parts in zip(whole.pieces, whole.goals, whole.goal_parts, strict=True):
         corners = apply(goal, piece.vertices)
         assert all((corners @ part.normals.T - part.offsets).max(axis=1).min() < 1e-9 for part in parts)
+
+
+def test_a_candidate_keeps_clear_all_along_the_insertion(qualities: dict[str, Qualities], hand: Hand) -> None:
+    """Checked at a dozen places of the way, pair by pair; and some grasp that is free at the goal is none on the way."""
+    judge, fewer = qualities["soma4"], 0
+    whole = judge.assembly
+    for piece in range(4):
+        placed = frozenset(range(4)) - {piece}
+        way, candidates = judge.assemblability(piece, placed).direction, judge.candidates(piece, placed)
+        fewer += len(judge.accessible(piece, placed)) - len(candidates)
+        if way is None:
+            continue
+        around = [hull for k in placed for hull in whole.goal_parts[k]]
+        for index in candidates[::15]:
+            for share in np.linspace(0, 1, 12):
+                T = np.array(whole.goals[piece] @ judge.grasps(piece).Ts_piece_tcp[index])
+                T[:3, 3] -= share * way_length(whole, piece, way) * way
+                hulls = hand_hulls(hand, T, float(judge.grasps(piece).widths[index]))
+                assert swept_separation(hulls, np.zeros(3), around) > MARGIN - 1e-6
+    assert fewer > 0
