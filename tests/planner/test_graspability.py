@@ -10,11 +10,11 @@ import trimesh
 from blocks import box, refined
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from manifold3d import Manifold
 from scipy.spatial import KDTree
 
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
-from soma_bullet.assembly.separation import swept_separation
 from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.frames import Array, apply
 from soma_bullet.grasp.clearance import MARGIN, OPENING, SUPPORT_MARGIN, WAY_OUT, hand_hulls, sweep_hand
@@ -187,11 +187,12 @@ def test_a_candidate_keeps_clear_all_along_the_insertion(qualities: dict[str, Qu
         fewer += len(judge.accessible(piece, placed)) - len(candidates)
         if way is None:
             continue
-        around = [hull for k in placed for hull in whole.goal_parts[k]]
+        around = [Manifold.hull_points(hull.vertices * 1e3) for k in placed for hull in whole.goal_parts[k]]
         for index in candidates[::15]:
             for share in np.linspace(0, 1, 12):
                 T = np.array(whole.goals[piece] @ judge.grasps(piece).Ts_piece_tcp[index])
                 T[:3, 3] -= share * way_length(whole, piece, way) * way
                 hulls = hand_hulls(hand, T, float(judge.grasps(piece).widths[index]))
-                assert swept_separation(hulls, np.zeros(3), around) > MARGIN - 1e-6
+                for box_mm in (Manifold.hull_points(hull.vertices * 1e3) for hull in hulls):
+                    assert min(box_mm.min_gap(other, 5.0) for other in around) > MARGIN * 1e3 - 1e-3
     assert fewer > 0
