@@ -20,8 +20,9 @@ from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError, NoSolutionError
 from soma_bullet.grasp.clearance import OPENING
-from soma_bullet.planner.plan import AssemblyPlan, make_plan
+from soma_bullet.planner.plan import AssemblyPlan
 from soma_bullet.planner.qualities import PlannerOptions
+from soma_bullet.planner.store import kept_plan
 from soma_bullet.records import package_versions, read_json, read_npz, write_json, write_npz
 from soma_bullet.report.report import EpisodeReport
 from soma_bullet.robot.cell import Cell, find_hand, load_cell
@@ -115,7 +116,7 @@ def run_episode(
     if log is None:
         with clock.stage("plan"):
             progress("planning", 0.0)
-            plan = plan or make_plan(model, cell.arms[0].hand, replace(options.planner, seed=options.seed))
+            plan = plan or kept_plan(model, cell.arms[0].hand, replace(options.planner, seed=options.seed))
         if plan_only:
             _write(out, "plan.json", plan)
             return None
@@ -238,7 +239,7 @@ def _plan_and_program(
             reasons += error.reasons or Counter({error.summary: 1})
             excluded |= {plan.order}
             try:
-                plan = make_plan(assembly, hand, plan.options, excluded)
+                plan = kept_plan(assembly, hand, plan.options, excluded)
             except NoSolutionError:
                 break
     raise NoSolutionError("schedule", f"none of the {len(excluded)} best orders of {assembly.name} has a schedule", reasons)

@@ -49,7 +49,7 @@ def never_planned(monkeypatch: pytest.MonkeyPatch) -> None:
 
     import soma_bullet.episode as episode
 
-    for name in ("make_plan", "make_program", "Workcell", "World"):
+    for name in ("kept_plan", "make_program", "Workcell", "World"):
         monkeypatch.setattr(episode, name, fail)
 
 

@@ -134,7 +134,7 @@ def test_the_last_two_seconds_are_rest(built: Run) -> None:
 def test_a_log_is_judged_again_to_the_same_numbers(built: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     import soma_bullet.episode as episode
 
-    for name in ("make_plan", "make_program", "World", "Workcell"):
+    for name in ("kept_plan", "make_program", "World", "Workcell"):
         monkeypatch.setattr(episode, name, lambda *_, **__: pytest.fail("it planned or simulated"))
     again = run_episode("soma3", EpisodeOptions(seed=0), tmp_path, built.folder / "log.npz")
     assert again is not None

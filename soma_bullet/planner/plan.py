@@ -214,9 +214,8 @@ def _plan(orders: Orders, options: PlannerOptions, excluded: frozenset[tuple[str
         what = f"none of the {len(ranked)} orders" if ranked else "no order"
         raise NoPlanError(f"{what} of {assembly.name} can be built", reasons + Counter(refusals), tuple(ranked))
     ties = [row for row in candidates if math.isclose(row.score, candidates[0].score, rel_tol=1e-9)]
-    fewest = min(row.holds for row in ties)  # of equal scores the one that needs the hands least
-    easiest = [row for row in ties if row.holds == fewest]
-    first = easiest[int(np.random.default_rng(options.seed).integers(len(easiest)))]
+    easiest = _easiest(ties)
+    first = easiest[picked(options.seed, len(easiest))]
     planned: list[PlannedOrder] = []
     passed_over: list[str] = []
     for row in [first, *(row for row in candidates if row is not first)]:
@@ -250,6 +249,23 @@ def _plan(orders: Orders, options: PlannerOptions, excluded: frozenset[tuple[str
         sensitivity=tuple(_sensitivity(qualities, chosen)) if orders.paper else (),
         versions=package_versions(),
     )
+
+
+def _easiest(ties: list[OrderRow]) -> list[OrderRow]:
+    """Of equal scores those that need the hands least."""
+    fewest = min(row.holds for row in ties)
+    return [row for row in ties if row.holds == fewest]
+
+
+def picked(seed: int, count: int) -> int:
+    """Which of `count` equal orders a seed picks."""
+    return int(np.random.default_rng(seed).integers(count))
+
+
+def easiest_orders(plan: AssemblyPlan) -> list[tuple[str, ...]]:
+    """The orders among which the seed picked."""
+    rows = {row.order: row for row in plan.orders}
+    return [row.order for row in _easiest([rows[order] for order in plan.ties or (plan.order,)])]
 
 
 def _ranked(orders: Orders, top: int, excluded: frozenset[tuple[str, ...]]) -> tuple[list[OrderRow], str]:

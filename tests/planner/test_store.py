@@ -1,0 +1,98 @@
+"""The same input is planned once; whatever a plan depends on is part of the key."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from blocks import assembly, box
+
+from soma_bullet.assembly.model import Assembly
+from soma_bullet.grasp.hand import Hand
+from soma_bullet.planner import store
+from soma_bullet.planner.plan import easiest_orders, make_plan, picked
+from soma_bullet.planner.qualities import PlannerOptions
+from soma_bullet.planner.store import kept_plan
+from soma_bullet.records import write_json
+
+
+@pytest.fixture(autouse=True)
+def own_store(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def twins() -> Assembly:
+    """Two equal cubes that do not touch: either first."""
+    cubes = [box((0.02,) * 3, name) for name in ("one", "two")]
+    return replace(assembly(cubes, [(0, 0, 0.01), (0.3, 0, 0.01)]), digest="twins")
+
+
+def counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    made: list[int] = []
+
+    def count(whole: Assembly, hand: Hand, options: PlannerOptions, excluded: frozenset[tuple[str, ...]]) -> object:
+        made.append(options.seed)
+        return make_plan(whole, hand, options, excluded)
+
+    monkeypatch.setattr(store, "make_plan", count)
+    return made
+
+
+def written(plan: object, path: Path) -> bytes:
+    write_json(plan, path)
+    return path.read_bytes()
+
+
+def test_a_kept_plan_is_the_plan_byte_for_byte(
+    twins: Assembly, hand: Hand, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = counted(monkeypatch)
+    for seed in range(8):
+        options = PlannerOptions(seed=seed)
+        fresh = written(make_plan(twins, hand, options), tmp_path / "fresh.json")
+        assert written(kept_plan(twins, hand, options), tmp_path / "kept.json") == fresh
+        assert written(kept_plan(twins, hand, options), tmp_path / "again.json") == fresh
+    assert len(made) == 2  # one for each of the two equal orders
+
+
+def test_what_decides_a_plan_is_part_of_the_key(twins: Assembly, hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = counted(monkeypatch)
+    kept_plan(twins, hand, PlannerOptions())
+    kept_plan(twins, hand, PlannerOptions())
+    assert len(made) == 1
+    kept_plan(replace(twins, digest="others"), hand, PlannerOptions())
+    kept_plan(twins, replace(hand, pad_size=np.array(hand.pad_size) * 0.9), PlannerOptions())
+    kept_plan(twins, hand, PlannerOptions(stability="paper"))
+    kept_plan(twins, hand, PlannerOptions(), frozenset({("one", "two")}))
+    assert len(made) == 5
+    monkeypatch.setattr(store, "_source", lambda: "another planner")
+    kept_plan(twins, hand, PlannerOptions())
+    assert len(made) == 6
+
+
+def test_a_damaged_file_is_planned_anew(twins: Assembly, hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
+    expected = kept_plan(twins, hand, PlannerOptions()).order
+    for file in store.store_folder().iterdir():
+        file.write_text("damaged")
+    made = counted(monkeypatch)
+    assert kept_plan(twins, hand, PlannerOptions()).order == expected
+    assert len(made) == 1
+
+
+def test_a_store_that_cannot_be_written_does_not_matter(twins: Assembly, hand: Hand, tmp_path: Path) -> None:
+    (tmp_path / "cache").write_text("a file where the folder should be")
+    assert kept_plan(twins, hand, PlannerOptions()).order in {("one", "two"), ("two", "one")}
+
+
+def test_without_a_digest_nothing_is_kept(twins: Assembly, hand: Hand) -> None:
+    kept_plan(replace(twins, digest=""), hand, PlannerOptions())
+    assert not store.store_folder().exists()
+
+
+def test_the_seed_picks_among_the_easiest(twins: Assembly, hand: Hand) -> None:
+    for seed in range(6):
+        plan = make_plan(twins, hand, PlannerOptions(seed=seed))
+        assert easiest_orders(plan)[picked(seed, 2)] == plan.order
