@@ -35,7 +35,7 @@ def main(arguments: Arguments) -> int:
 
     from soma_bullet.errors import InputError, SomaBulletError
     from soma_bullet.records import to_tree
-    from soma_bullet.validation import compare, disagreements, examine, table
+    from soma_bullet.validation.comparison import compare, disagreements, examine, table
 
     try:
         if arguments.states < 1 or arguments.jobs < 1 or arguments.seed < 0:

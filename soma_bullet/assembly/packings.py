@@ -50,14 +50,15 @@ def distinct_packings(bodies: Sequence[Sequence[Cell]], box: Box = CUBE) -> list
     A reflection may take one body for another (A and B of the Soma cube), so that packings are compared as partitions.
     """
     choices, turns = [placements(body, box) for body in bodies], box_symmetries(box)
+    images = [_images(turn, box) for turn in turns]
+    proper = [image for image, turn in zip(images, turns, strict=True) if np.linalg.det(turn) > 0]
     # some rotation brings the body with the most placements into the first of their orbit: the others need no look
     widest = max(range(len(bodies)), key=lambda k: len(choices[k]))
-    proper = [turn for turn in turns if np.linalg.det(turn) > 0]
-    choices[widest] = sorted({min(_turned(cells, turn, box) for turn in proper) for cells in choices[widest]})
-    first: dict[tuple[Cells, ...], Packing] = {}
+    choices[widest] = sorted({min(_moved(cells, image) for image in proper) for cells in choices[widest]})
+    first: dict[Packing, Packing] = {}
     for packing in _packings(choices, box):
-        key = min(tuple(sorted(_turned(cells, turn, box) for cells in packing)) for turn in turns)
-        first[key] = min(packing, first.get(key, packing))
+        same = min(tuple(sorted(_moved(cells, image) for cells in packing)) for image in images)
+        first[same] = min(packing, first.get(same, packing))
     return sorted(first.values())
 
 
@@ -74,12 +75,25 @@ def box_symmetries(box: Box) -> list[Array]:
 
 def turned_packing(packing: Packing, turn: Array, box: Box = CUBE) -> Packing:
     """The packing after a symmetry (3, 3) of the box."""
-    return tuple(_turned(cells, turn, box) for cells in packing)
+    image = _images(turn, box)
+    return tuple(_moved(cells, image) for cells in packing)
 
 
-def _turned(cells: Cells, turn: Array, box: Box) -> Cells:
-    doubled = 2 * np.array(cells) - (np.array(box) - 1)  # about the middle of the box, in half cells
-    return _sorted((doubled @ turn.T.astype(int) + np.array(box) - 1) // 2)
+def _images(turn: Array, box: Box) -> dict[Cell, Cell]:
+    """Where a symmetry takes each cell of the box."""
+    cells = box_cells(box)
+    middle = np.array(box) - 1  # in half cells
+    turned = ((2 * np.array(cells) - middle) @ np.rint(turn).astype(int).T + middle) // 2
+    return {cell: (int(x), int(y), int(z)) for cell, (x, y, z) in zip(cells, turned, strict=True)}
+
+
+def box_cells(box: Box) -> list[Cell]:
+    """All cells of a box, sorted."""
+    return list(product(range(box[0]), range(box[1]), range(box[2])))
+
+
+def _moved(cells: Cells, image: dict[Cell, Cell]) -> Cells:
+    return tuple(sorted(image[cell] for cell in cells))
 
 
 def _sorted(cells: Array) -> Cells:
@@ -87,7 +101,7 @@ def _sorted(cells: Array) -> Cells:
 
 
 def _packings(choices: Sequence[Sequence[Cells]], box: Box) -> Iterator[Packing]:
-    bit = {cell: 1 << k for k, cell in enumerate(product(*map(range, box)))}
+    bit = {cell: 1 << k for k, cell in enumerate(box_cells(box))}
     full = (1 << len(bit)) - 1
     # by the lowest cell that a placement fills: body, mask, cells
     by_cell: dict[int, list[tuple[int, int, Cells]]] = {value: [] for value in bit.values()}
@@ -128,16 +142,29 @@ def packed_assembly(whole: Assembly, packing: Packing, side: float = SIDE) -> As
 
 
 @cache
+def _soma() -> Assembly:
+    return load_assembly("cube")
+
+
+@cache
 def soma_cubes() -> tuple[Packing, ...]:
     """The 240 Soma cubes that differ by more than a rotation or a reflection, pieces in the order of meshes/soma/cube.toml."""
-    return tuple(distinct_packings([piece_cells(piece) for piece in load_assembly("cube").pieces]))
+    return tuple(distinct_packings([piece_cells(piece) for piece in _soma().pieces]))
 
 
 def soma_cube(number: int, turn: Array | None = None) -> Assembly:
-    """One of the 240 as an assembly, turned by a rotation (3, 3) of the cube."""
+    """One of the 240 as an assembly, turned by a rotation (3, 3) of the cube; all share their workpieces."""
     packing = soma_cubes()[number]
-    packed = packed_assembly(load_assembly("cube"), packing if turn is None else turned_packing(packing, turn))
+    packed = packed_assembly(_soma(), packing if turn is None else turned_packing(packing, turn))
     return replace(packed, name=f"cube{number:03d}")
+
+
+def sides_down() -> list[Array]:
+    """Rotations (3, 3) of the cube, one for each side that can be down; the first turns nothing."""
+    found: dict[tuple[float, ...], Array] = {}
+    for turn in sorted(cube_rotations(), key=lambda turn: -float(np.trace(turn))):
+        found.setdefault(tuple(turn[2] + 0.0), turn)
+    return list(found.values())
 
 
 def draw_soma_cubes(count: int, seed: int) -> list[int]:

@@ -7,18 +7,21 @@ dimension of its lineality space); the best direction maximises the smallest n_i
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from soma_bullet.assembly.contacts import Contact
-from soma_bullet.assembly.hulls import Hull
+from soma_bullet.assembly.hulls import Hull, unique_directions
 from soma_bullet.assembly.separation import swept_separation
 from soma_bullet.frames import Array, Mask
 
 Scale = Literal["finite", "ordinal"]
+Rank = Callable[[Array], tuple[float, ...]]  # of a unit direction (3,)
+
+UP = np.array([0.0, 0.0, 1.0])
 
 SNAP = np.deg2rad(2.0)  # [rad] normals closer than this are one
 SMALLEST_CLEARANCE = 0.02  # a smaller t* counts as none
@@ -98,8 +101,15 @@ def widest_direction(normals: Array) -> tuple[Array, float]:
     return directions[best], float(clearances[best])
 
 
-def analyse_freedom(normals: Array) -> Freedom:
-    """Classify contact normals (n, 3), each pointing into the piece."""
+def analyse_freedom(normals: Array, axes: Array | None = None, rank: Rank | None = None) -> Freedom:
+    """Classify contact normals (n, 3), each pointing into the piece.
+
+    Args:
+        axes: directions (k, 3) that are tried where the contacts leave a choice; those of the frame by default.
+        rank: of equally free directions the one of the smallest rank is best.
+    """
+    axes = np.eye(3) if axes is None else axes
+    rank = rank or (lambda direction: tuple(np.round(-direction, 9)))
     normals = snap_normals(np.asarray(normals, float).reshape(-1, 3))
     span = np.eye(3)
     lineality = 3 - (np.linalg.matrix_rank(normals, tol=SMALLEST_CLEARANCE) if len(normals) else 0)
@@ -112,14 +122,23 @@ def analyse_freedom(normals: Array) -> Freedom:
             break
         best, clearance = widest_direction(flat)
         if clearance >= SMALLEST_CLEARANCE:
-            return Freedom(TYPES[len(span), min(lineality, len(span))], clearance, best, _alternatives(best, flat, span), span)
+            kind = TYPES[len(span), min(lineality, len(span))]
+            return Freedom(kind, clearance, best, _alternatives(best, flat, span, axes, rank), span)
         # normals that face each other are equalities: d moves only across them
         facing = _facing(flat, span)
         span = _complement(span, flat[facing] if facing.any() else flat)
     if not len(span):
         return Freedom("locked", 0.0, None, np.zeros((0, 3)), span)
-    best = next((d for d in (np.array([0.0, 0.0, 1.0]), *span) if np.linalg.norm(span @ d) > IN_SPAN), span[0])
-    return Freedom(TYPES[len(span), len(span)], 1.0, best, _alternatives(best, np.zeros((0, 3)), span), span)
+    best = _freest(span, axes, rank)
+    return Freedom(TYPES[len(span), len(span)], 1.0, best, _alternatives(best, np.zeros((0, 3)), span, axes, rank), span)
+
+
+def _freest(span: Array, axes: Array, rank: Rank) -> Array:
+    """Of the directions of a span (m, 3), all equally free: upwards where that is one, else the axis of the smallest rank."""
+    inside = [d for d in (UP, *axes, *-axes) if np.linalg.norm(span @ d) > IN_SPAN]
+    if inside and inside[0] is UP:
+        return UP
+    return min(inside or [*span, *-span], key=rank)
 
 
 def _facing(normals: Array, span: Array) -> Mask:
@@ -146,9 +165,11 @@ def _complement(span: Array, normals: Array) -> Array:
     return right[rank:] @ span
 
 
-def _alternatives(best: Array, normals: Array, span: Array) -> Array:
-    """Extreme directions of the legal cone, the axes of the frame in it, and midways, nearest to the best first."""
-    candidates = [*np.eye(3), *-np.eye(3), *span, *-span]
+def _alternatives(best: Array, normals: Array, span: Array, axes: Array, rank: Rank) -> Array:
+    """Extreme directions of the legal cone, the axes in it, and midways, nearest to the best first."""
+    candidates = [UP, -UP, *axes, *-axes]
+    if len(span) == 1:
+        candidates += [*span, *-span]
     for i, first in enumerate(normals):
         for second in normals[i + 1 :]:
             ray = np.cross(first, second)
@@ -162,7 +183,7 @@ def _alternatives(best: Array, normals: Array, span: Array) -> Array:
         if inside and all(d @ other < 0.9999 for other in [best, *legal]):
             legal.append(d)
     legal += [m / np.linalg.norm(m) for m in [best + d for d in legal] if np.linalg.norm(m) > 0.1]
-    return np.array(sorted(legal, key=lambda d: -round(float(d @ best), 9))).reshape(-1, 3)
+    return np.array(sorted(legal, key=lambda d: (-round(float(d @ best), 9), rank(d)))).reshape(-1, 3)
 
 
 def finite_quality(kind: str, clearance: float) -> float:
@@ -185,6 +206,8 @@ def analyse_assemblability(
     scale: Scale,
     support: float,
     slack: Mapping[int, float] | None = None,
+    axes: Array | None = None,
+    rank: Rank | None = None,
 ) -> Assemblability:
     """Best straight way in for a piece.
 
@@ -195,9 +218,13 @@ def analyse_assemblability(
         scale: `finite` or `ordinal` values.
         support: height of the support plane [m].
         slack: for each placed piece how far the parts of both may stand out of the bodies that they stand for [m].
+        axes: directions (k, 3) that are tried where the contacts leave a choice: the piece's own, not those of the frame, so
+            that the way in turns with everything; by default the face normals of its parts.
+        rank: orders directions that the contacts leave equally free.
     """
     normals = np.array([c.normal for c in contacts]).reshape(-1, 3)
-    freedom = analyse_freedom(normals)
+    own = unique_directions(np.vstack([part.axes for part in parts])) if axes is None else axes
+    freedom = analyse_freedom(normals, own, rank)
     if freedom.best is None:
         return Assemblability("locked", 0.0, None, tuple(sorted({c.body_a for c in contacts})))
     vertices = np.vstack([part.vertices for part in parts])

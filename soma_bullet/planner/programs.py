@@ -13,7 +13,8 @@ import numpy as np
 from soma_bullet.frames import Array
 
 LARGEST = 1e3  # [g, or multiples of the load] stands for "no limit"
-EXACT = 1e-9  # an edge of a region is final once no point lies farther out than this
+MOST_QUESTIONS = 500  # about ten are usual
+EXACT = 1e-8  # above the last digits of the solver: an edge of a region is final once no point lies farther out than this
 
 
 def _solver(columns: Array, extra: Array, limits: Array, lower: Array, upper: Array, balance: Array) -> Any:
@@ -80,7 +81,8 @@ class PushRegion:
             corners.append((float(angle), point))
         rays = np.column_stack([np.cos(angles), np.sin(angles)])
         final: set[tuple[float, float]] = set()
-        while True:
+        reach = 0.0
+        for _ in range(MOST_QUESTIONS):
             points = np.array([point for _, point in corners])
             edges = np.roll(points, -1, axis=0) - points
             length = np.linalg.norm(edges, axis=1)
@@ -105,6 +107,7 @@ class PushRegion:
                 continue
             angle = float(np.arctan2(normals[edge, 1], normals[edge, 0]) % (2 * np.pi))
             corners.insert(int(real[edge]) + 1, (angle, point))
+        return min(reach, self.largest)  # a lower bound: the known corners lie inside the region
 
 
 class RayProgram:

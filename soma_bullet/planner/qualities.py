@@ -11,12 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from soma_bullet.assembly.contacts import SUPPORT
+from soma_bullet.assembly.hulls import unique_directions
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, Indices, Mask
 from soma_bullet.grasp.clearance import HandSweep, clear_of_piece, clear_of_scene, hands_clear, sweep_hand
 from soma_bullet.grasp.hand import Hand
 from soma_bullet.grasp.sampling import GraspSet, SamplingOptions, sample_grasps
-from soma_bullet.planner.assemblability import Assemblability, analyse_assemblability
+from soma_bullet.planner.assemblability import Assemblability, Rank, analyse_assemblability
 from soma_bullet.planner.assist import HoldLoad
 from soma_bullet.planner.equilibrium import StateStability, classify, friction_of
 from soma_bullet.planner.paper_stability import contact_wrenches, wrench_margin
@@ -60,6 +61,7 @@ class Qualities:
         self._stability: dict[tuple[Placed, Placed], StateStability] = {}
         self._grasps: dict[int, GraspSet] = {}
         self._clear: dict[tuple[int, int], Mask] = {}
+        self._normals: dict[int, Array] = {}
         self._ways: dict[tuple[int, Placed], Assemblability] = {}
         self._entering: dict[tuple[int, int, tuple[float, ...]], Mask] = {}
         self._candidates: dict[tuple[int, Placed], Indices] = {}
@@ -76,7 +78,7 @@ class Qualities:
             friction = np.array([friction_of(c, self.assembly) for c in contacts])
             body = self.assembly.pieces[piece]
             generators = contact_wrenches(contacts, self.assembly.goal_centres[piece], body.radius, friction, turn)
-            self._paper[key] = wrench_margin(generators, joggled=turn != 0.0)
+            self._paper[key] = wrench_margin(generators)
         return self._paper[key]
 
     def stability(self, placed: Placed, held: Placed = frozenset()) -> StateStability:
@@ -134,8 +136,27 @@ class Qualities:
                 "ordinal" if self.options.stability == "paper" else "finite",
                 self.assembly.support.height,
                 {k: self.assembly.pieces[piece].roughness + self.assembly.pieces[k].roughness for k in others},
+                self._axes(piece),
+                self._rank(piece, placed),
             )
         return self._ways[key]
+
+    def _axes(self, piece: int) -> Array:
+        """Face normals (k, 3) of a piece at its goal, one for each direction up to sign; cuts inside it have no say."""
+        if piece not in self._normals:
+            normals = np.array([facet.normal for facet in self.assembly.pieces[piece].facets])
+            self._normals[piece] = unique_directions(normals @ self.assembly.goals[piece][:3, :3].T)
+        return self._normals[piece]
+
+    def _rank(self, piece: int, placed: Placed) -> Rank:
+        """Orders removal directions that are equally free: away from the placed set first, then by the piece's own axes.
+
+        It turns with the assembly, and does not depend on the order of the pieces.
+        """
+        centres, rotation = self.assembly.goal_centres, self.assembly.goals[piece][:3, :3]
+        away = centres[piece] - np.sort(centres[sorted(placed)], axis=0).mean(axis=0) if placed else np.zeros(3)
+        away = away / max(float(np.linalg.norm(away)), 1e-9)
+        return lambda direction: (-round(float(direction @ away), 6), *(-np.round(direction @ rotation, 6)))
 
     def why_no_grasp(self, piece: int, placed: Placed) -> str:
         """How many grasps of `piece` each body in the placed set is in the way of."""

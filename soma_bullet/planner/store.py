@@ -1,7 +1,7 @@
 """Plans kept by the content of what they follow from, so that the same input is planned once.
 
-The key covers the assembly (its file and its meshes), the hand, the options, the excluded orders, the versions of the packages and
-the source of the planner itself. The seed only picks among orders of equal score: a plan is kept for each pick, not for each seed.
+The key covers the assembly (its file and its meshes), the hand, the options, the excluded orders, the versions of the packages
+and the source of the planner itself. The seed only picks among orders of equal score: there is a plan for each pick.
 """
 
 from __future__ import annotations
