@@ -98,11 +98,10 @@ def _swept_box(box: Box, x_low: Array, x_high: Array, way_out: float) -> tuple[A
 
 def hands_clear(first: HandSweep, second: HandSweep) -> Mask:
     """Which of a swept hands keep their margin to which of b others: bool (a, b)."""
-    clear = np.ones((first.centres.shape[1], second.centres.shape[1]), bool)
-    for box_a in zip(first.centres, first.generators, strict=True):
-        for box_b in zip(second.centres, second.generators, strict=True):
-            clear &= pair_separation(box_a, box_b) > MARGIN
-    return clear
+    # every box of either in one call
+    flat = [(s.centres.reshape(-1, 3), s.generators.reshape(-1, *s.generators.shape[2:])) for s in (first, second)]
+    gaps = pair_separation(flat[0], flat[1]).reshape(*first.centres.shape[:2], *second.centres.shape[:2])
+    return np.asarray(gaps.min(axis=(0, 2)) > MARGIN)
 
 
 def hand_hulls(hand: Hand, T_tcp: Array, width: float) -> list[Hull]:
