@@ -40,6 +40,7 @@ SPEEDS = {
     "place": HandLimits(0.010, 0.03),
     "retreat": HandLimits(0.15, 0.3),
 }  # [m/s], [m/s2]
+FINGER_STEP = 0.004  # [m] of one finger; none is thinner
 MOTIONS = ("transit", "approach", "lift", "transfer", "insert", "place", "retreat", "home")
 EDGE_STEPS = (0.02, 0.004, 0.004, 0.004, 0.004)  # [rad] between checked states of an edge, one for each attempt
 CARRYING = 0.6  # of the joint limits while a hand carries a piece
@@ -235,10 +236,10 @@ class ProgramBuilder:
         arm: int | None = None,
         piece: str | None = None,
     ) -> Segment:
-        """A motion around obstacles; the hand opens or closes on the way and counts as the wider of the two."""
+        """A motion around obstacles; the hand opens or closes on the way, and every width between must be free all along."""
         arm, piece = a.arm if arm is None else arm, a.piece if piece is None else piece
         self.count += 1
-        wide = max(opening, float(context.hands.openings[arm]))
+        widths = widths_between(float(context.hands.openings[arm]), opening)
         try:
             path = plan_motion(
                 self.workcell,
@@ -247,11 +248,11 @@ class ProgramBuilder:
                 arm,
                 context.hands.qs[arm],
                 goal,
-                wide,
+                widths,
                 self.seed + 1000 * self.count,
             )
         except TransferError as error:
-            raise MotionError(a, f"{piece}: {kind}: {self._blame(error, context, arm, wide)}") from None
+            raise MotionError(a, f"{piece}: {kind}: {self._blame(error, context, arm, float(widths.max()))}") from None
         except TimingError as error:
             raise MotionError(a, f"{piece}: {kind}: {error}") from None
         opening = np.nan if kind == "transfer" else opening  # keep squeezing
@@ -286,13 +287,18 @@ class ProgramBuilder:
         return Segment(kind, a.step, arm, piece, readonly(np.zeros((0, 6))), readonly(np.zeros(3)), opening, duration, 0.0)
 
 
+def widths_between(first: float, last: float) -> Array:
+    """Widths [m] of a hand that opens or closes, so close that what fits between two of them is thinner than a finger."""
+    return np.linspace(first, last, 1 + int(np.ceil(abs(last - first) / 2 / FINGER_STEP)))
+
+
 def plan_motion(
-    workcell: Workcell, scene: Scene, hands: Hands, arm: int, start: Array, goal: Array, width: float, seed: int
+    workcell: Workcell, scene: Scene, hands: Hands, arm: int, start: Array, goal: Array, widths: Array, seed: int
 ) -> Array:
-    """Timed joints (n, 6) around obstacles. Raises TransferError, TimingError."""
+    """Timed joints (n, 6) around obstacles, free at every one of the hand's widths [m]. Raises TransferError, TimingError."""
     limits = workcell.robot.arm(arm)
     gentle = CARRYING if scene.situation.carried else 1.0
-    collides = lambda q: scene.collides(workcell.configuration(hands, arm, q, width))  # noqa: E731
+    collides = lambda q: any(scene.collides(workcell.configuration(hands, arm, q, width)) for width in widths)  # noqa: E731
     for attempt, step in enumerate(EDGE_STEPS):
         options = TransferOptions(seed=seed + 7919 * attempt, step=step)
         waypoints = plan_transfer(start, np.array([goal]), limits.lower, limits.upper, collides, options)
@@ -340,8 +346,10 @@ def replan(workcell: Workcell, plan: AssemblyPlan, program: Program, index: int,
         if segment.kind in SPEEDS:
             path = line_motion(workcell, scene, context.hands, segment.arm, start, segment.offset, SPEEDS[segment.kind])
         else:
-            wide = float(np.nanmax([segment.opening, context.hands.openings[segment.arm]]))
-            path = plan_motion(workcell, scene, context.hands, segment.arm, start, segment.path[-1], wide, program.seed + index)
+            now = float(context.hands.openings[segment.arm])
+            widths = widths_between(now, now if np.isnan(segment.opening) else segment.opening)
+            goal, seed = segment.path[-1], program.seed + index
+            path = plan_motion(workcell, scene, context.hands, segment.arm, start, goal, widths, seed)
     except (LineError, TransferError, TimingError) as error:
         reason = f"{segment.piece}: {segment.kind} cannot be made from the measured joints: {error}"
         raise NoSolutionError("motion", reason) from None
