@@ -1,27 +1,39 @@
-"""Timings of each stage over seeds: prints the medians and 95th percentiles, and writes them as JSON."""
+"""Timings: the stages of an episode, the planner against its targets, plans of all 240 Soma cubes."""
 
 from __future__ import annotations
 
 import json
+import os
+import statistics
+import subprocess
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+if TYPE_CHECKING:
+    from soma_bullet.assembly.model import Assembly
+    from soma_bullet.grasp.hand import Hand
+    from soma_bullet.planner.qualities import Qualities
+
+CELL = "ur5e_pair"
+GRASPS = 1000
+
 
 @dataclass(frozen=True)
-class Arguments:
+class Stages:
     """Times the stages of an episode over seeds. Wall times of this machine: compare ratios within one run."""
 
     assembly: tyro.conf.Positional[str] = "soma3"
     """An assembly file, or the name of one that comes with the package."""
-    cell: str = "ur5e_pair"
+    cell: str = CELL
     """A cell, as for run_episode.py."""
     seeds: int = 5
     """How many seeds, from 0 on."""
@@ -31,38 +43,85 @@ class Arguments:
     """Where the figures are written."""
 
 
+@dataclass(frozen=True)
+class Planner:
+    """Times the planner against its targets, and says where the time goes: Markdown on stdout."""
+
+    runs: int = 5
+    """How often each job is done, afresh each time; the median is printed. Where the time goes is measured once more."""
+
+
+@dataclass(frozen=True)
+class Cube240:
+    """Plans the 240 Soma cubes, and looks for orders without any hold whichever side is down: Markdown on stdout."""
+
+    plans: int = 240
+    """How many of them are planned in full, drawn by the seed."""
+    turned: int = 240
+    """How many are turned, drawn by the seed."""
+    orientations: Literal[6, 24] = 6
+    """6: each side down; 24: and turned about the vertical, which should change nothing."""
+    grasps: bool = True
+    """Whether turned cubes are also asked for an order without holds whose pieces the hand can grip."""
+    seed: int = 0
+    """Of the draws."""
+    jobs: int = 1
+    """Worker processes; all but the times is the same for any number."""
+    out: Path = Path("runs/cube240.json")
+    """Where the figures of every cube are written."""
+
+
 class Stopwatch:
-    """Collects seconds by name."""
+    """Collects seconds by name: wall, and of this process alone."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, list[float]] = defaultdict(list)
+        self.cpu: dict[str, list[float]] = defaultdict(list)
 
     @contextmanager
     def measure(self, name: str) -> Iterator[None]:
-        start = time.perf_counter()
+        start, cpu = time.perf_counter(), time.process_time()
         yield
         self.seconds[name].append(time.perf_counter() - start)
+        self.cpu[name].append(time.process_time() - cpu)
 
 
-def main(arguments: Arguments) -> int:
-    """Run the benchmark. Returns the exit status."""
-    from soma_bullet.errors import SomaBulletError
+def main(arguments: Stages | Planner | Cube240) -> int:
+    """Run a benchmark. Returns the exit status."""
+    from soma_bullet.errors import InputError, SomaBulletError
 
     try:
-        figures = run(arguments, lambda text: sys.stderr.write(text + "\n"))
+        if isinstance(arguments, Stages):
+            stages(arguments, lambda text: sys.stderr.write(text + "\n"))
+        elif isinstance(arguments, Planner):
+            if arguments.runs < 1:
+                raise InputError("arguments", f"--runs {arguments.runs}: must be at least 1")
+            planner(arguments.runs)
+        else:
+            if not (0 <= arguments.plans <= 240 and 0 <= arguments.turned <= 240 and arguments.jobs >= 1):
+                raise InputError("arguments", "--plans and --turned must be from 0 to 240, and --jobs at least 1")
+            cube240(arguments)
     except SomaBulletError as error:
         sys.stderr.write(f"error: {error}\n")
         return error.exit_status
+    return 0
+
+
+# --- stages of an episode ----------------------------------------------------------------------------------------------
+
+
+def stages(arguments: Stages, say: Callable[[str], object]) -> None:
+    """Prints the figures of every stage, and writes them."""
+    figures = run(arguments, say)
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     arguments.out.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
     width = max(map(len, figures["stages"]))
     sys.stdout.write(f"{'stage':<{width}}  {'median':>10}  {'p95':>10}  runs\n")
     for name, row in figures["stages"].items():
         sys.stdout.write(f"{name:<{width}}  {row['median_s']:>8.3f} s  {row['p95_s']:>8.3f} s  {row['runs']:>4}\n")
-    return 0
 
 
-def run(arguments: Arguments, say: Callable[[str], object]) -> dict:
+def run(arguments: Stages, say: Callable[[str], object]) -> dict[str, Any]:
     """Figures of every stage: median and 95th percentile [s]."""
     import numpy as np
 
@@ -113,7 +172,7 @@ def run(arguments: Arguments, say: Callable[[str], object]) -> dict:
         watch.seconds["execution, a simulated second"].append(watch.seconds["execution"][-1] / float(log.times[-1]))
         with watch.measure("judgement"):
             judge(log, assembly, cell, EpisodeOptions().tolerance)
-    stages = {
+    figures = {
         name: {"median_s": float(np.median(s)), "p95_s": float(np.percentile(s, 95)), "runs": len(s)}
         for name, s in watch.seconds.items()
     }
@@ -121,10 +180,382 @@ def run(arguments: Arguments, say: Callable[[str], object]) -> dict:
         "assembly": assembly.name,
         "cell": cell.name,
         "seeds": arguments.seeds,
-        "stages": stages,
+        "stages": figures,
         "versions": package_versions(),
     }
 
 
+# --- the planner against its targets -----------------------------------------------------------------------------------
+
+# name: target, factor and unit that it is printed in
+TARGETS = {
+    "soma3, equilibrium": (1.0, 1.0, "s"),
+    "soma3, paper": (1.0, 1.0, "s"),
+    "soma4, equilibrium": (2.0, 1.0, "s"),
+    "soma4, paper": (2.0, 1.0, "s"),
+    "cube, all 5,040 orders, equilibrium": (8.0, 1.0, "s"),
+    "cube, all 5,040 orders, paper": (8.0, 1.0, "s"),
+    "contacts of 7 meshes": (0.150, 1e3, "ms"),
+    "equilibrium of one of the cube's 127 subsets": (0.010, 1e3, "ms"),
+    "1,000 grasps against 7 pieces": (0.040, 1e3, "ms"),
+}
+MEMORY = 1000.0  # [MB]
+PLANNED = tuple((name, mode) for name in ("soma3", "soma4", "cube") for mode in ("equilibrium", "paper"))
+
+
+def planner(runs: int) -> None:
+    """Prints times against targets, and where the time goes."""
+    watch, shares = Stopwatch(), {}
+    _bench_plan("soma3", "paper", Stopwatch())  # imports, and tables that are built once
+    for _ in range(runs):
+        for key in PLANNED:
+            _bench_plan(*key, watch)
+        _bench_parts(watch)
+    for key in PLANNED:
+        with _clocks() as shares[key]:
+            _bench_plan(*key, Stopwatch())
+    lines = ["| job | target | wall, median | CPU, median | met |", "|-|-|-|-|-|"]
+    for job, (target, factor, unit) in TARGETS.items():
+        wall, cpu = statistics.median(watch.seconds[job]), statistics.median(watch.cpu[job])
+        values = " | ".join(f"{value * factor:.3g} {unit}" for value in (target, wall, cpu))
+        lines.append(f"| {job} | < {values} | {_met(wall, cpu, target)} |")
+    peak = _peak_memory()
+    lines.append(f"| peak memory of the cube's plan | < {MEMORY:.0f} MB | {peak:.0f} MB | | {_met(peak, peak, MEMORY)} |")
+    lines += ["", "| share of the CPU time | " + " | ".join(f"{name}, {mode}" for name, mode in PLANNED) + " |"]
+    lines.append("|-" * (len(PLANNED) + 1) + "|")
+    for label in (*_timed(), "search and rows"):
+        lines.append(f"| {label} | " + " | ".join(f"{_share(shares[key], label):.0%}" for key in PLANNED) + " |")
+    lines.append("| all | " + " | ".join(f"{sum(shares[key].values()):.2f} s" for key in PLANNED) + " |")
+    sys.stdout.write("\n".join(lines) + "\n")
+
+
+def _met(wall: float, cpu: float, target: float) -> str:
+    return "yes" if wall < target else "by CPU time" if cpu < target else "no"
+
+
+def _share(seconds: dict[str, float], label: str) -> float:
+    return seconds.get(label, 0.0) / sum(seconds.values())
+
+
+def _timed() -> dict[str, list[tuple[Any, str]]]:
+    """Functions of the planner by the analyzer that they belong to: what they call counts for it unless it is listed too."""
+    from soma_bullet.planner import plan
+    from soma_bullet.planner.qualities import Qualities
+
+    return {
+        "stability programs": [(Qualities, "stability")],
+        "hulls of paper mode": [(Qualities, "paper_stability")],
+        "sampling of grasps": [(Qualities, "grasps")],
+        "grasps clear of pieces": [(Qualities, name) for name in ("accessible", "candidates", "_clear_of_way")],
+        "hand against hand": [(Qualities, name) for name in ("assisting", "can_assist", "together")],
+        "ways in": [(Qualities, "assemblability")],
+        "certificates of holds": [(plan, "certify_hold")],
+    }
+
+
+@contextmanager
+def _clocks() -> Iterator[dict[str, float]]:
+    """Seconds of CPU by label while the block runs; what no label claims is `search and rows`."""
+    seconds, running = defaultdict(float), ["search and rows"]
+    last = time.process_time()
+
+    def switch() -> None:
+        nonlocal last
+        now = time.process_time()
+        seconds[running[-1]] += now - last
+        last = now
+
+    def clocked(function: Callable[..., Any], label: str) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            switch()
+            running.append(label)
+            try:
+                return function(*arguments, **options)
+            finally:
+                switch()
+                running.pop()
+
+        return call
+
+    originals = [(owner, name, getattr(owner, name), label) for label, group in _timed().items() for owner, name in group]
+    for owner, name, function, label in originals:
+        setattr(owner, name, clocked(function, label))
+    try:
+        yield seconds
+        switch()
+    finally:
+        for owner, name, function, _ in originals:
+            setattr(owner, name, function)
+
+
+def _bench_plan(name: str, mode: str, watch: Stopwatch) -> None:
+    """Plans an assembly, loaded afresh."""
+    from soma_bullet.assembly.file import load_assembly
+    from soma_bullet.planner.plan import make_plan
+    from soma_bullet.planner.qualities import PlannerOptions
+
+    assembly, hand = load_assembly(name), _hand()  # to load it is to look at its contacts
+    with watch.measure(f"{name}, all 5,040 orders, {mode}" if name == "cube" else f"{name}, {mode}"):
+        make_plan(assembly, hand, PlannerOptions(stability=mode))
+
+
+def _bench_parts(watch: Stopwatch) -> None:
+    """The cube's contacts, the stability of its subsets, and 1,000 grasps against its pieces."""
+    from itertools import combinations
+
+    import numpy as np
+
+    from soma_bullet.assembly.file import load_assembly
+    from soma_bullet.grasp.clearance import clear_of_scene, sweep_hand
+    from soma_bullet.planner.qualities import PlannerOptions, Qualities
+
+    loaded = load_assembly("cube")
+    # loading has looked at the contacts already: bodies and assembly without what they remember
+    cube = replace(loaded, pieces=tuple(replace(piece) for piece in loaded.pieces))
+    with watch.measure("contacts of 7 meshes"):
+        _ = cube.contacts
+    qualities, every = Qualities(cube, _hand(), PlannerOptions()), range(len(cube.pieces))
+    for size in range(1, len(cube.pieces) + 1):
+        for placed in map(frozenset, combinations(every, size)):
+            with watch.measure("equilibrium of one of the cube's 127 subsets"):
+                qualities.stability(placed)
+    grasps = [qualities.grasps(k) for k in every]
+    poses = np.vstack([cube.goals[k] @ grasps[k].Ts_piece_tcp for k in every])[:GRASPS]
+    widths = np.concatenate([grasps[k].widths for k in every])[:GRASPS]
+    assert len(poses) == GRASPS
+    hand = _hand()
+    with watch.measure("1,000 grasps against 7 pieces"):
+        sweep = sweep_hand(hand, poses, widths)
+        for parts in cube.goal_parts:
+            clear_of_scene(sweep, parts, None)
+
+
+@cache
+def _hand() -> Hand:
+    from soma_bullet.robot.cell import load_cell
+
+    return load_cell(CELL).arms[0].hand
+
+
+def _peak_memory() -> float:
+    """Largest resident size [MB] of a process of its own that plans the cube."""
+    code = (
+        "import resource; from soma_bullet.assembly.file import load_assembly; from soma_bullet.planner.plan import make_plan; "
+        f"from soma_bullet.robot.cell import load_cell; make_plan(load_assembly('cube'), load_cell('{CELL}').arms[0].hand); "
+        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    return float(done.stdout) * 1024 / 1e6
+
+
+# --- all Soma cubes ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class CubePlan:
+    """What became of the plan of one cube.
+
+    Attributes:
+        number: of the cube.
+        seconds, cpu: wall and CPU time [s].
+        order: the chosen one.
+        score: of it.
+        holds: holds in it.
+        free_orders: feasible orders that need no hold at any step.
+        failure: why there is no plan, else empty.
+    """
+
+    number: int
+    seconds: float
+    cpu: float
+    order: tuple[str, ...] = ()
+    score: float = 0.0
+    holds: int = 0
+    free_orders: int = 0
+    failure: str = ""
+
+
+@dataclass(frozen=True)
+class CubeTurns:
+    """In how many orientations one cube has an order that stands throughout by itself, along straight ways in.
+
+    Attributes:
+        number: of the cube.
+        asked: orientations that were looked at.
+        stable: those with such an order.
+        gripped: those with such an order whose pieces the hand can grip; None where that was not asked.
+        cpu: CPU time [s].
+    """
+
+    number: int
+    asked: int
+    stable: int
+    gripped: int | None
+    cpu: float
+
+
+def plan_cube(number: int) -> CubePlan:
+    """Plan one of the 240 in the orientation that it is found in."""
+    from soma_bullet.assembly.packings import soma_cube
+    from soma_bullet.errors import SomaBulletError
+    from soma_bullet.planner.plan import make_plan
+
+    cube, hand = soma_cube(number), _hand()  # pieces shared with the other cubes: their facets and parts are made once
+    start, cpu = time.perf_counter(), time.process_time()
+    try:
+        plan = make_plan(cube, hand)
+    except SomaBulletError as error:
+        return CubePlan(number, time.perf_counter() - start, time.process_time() - cpu, failure=_first_reasons(str(error)))
+    times = time.perf_counter() - start, time.process_time() - cpu
+    holds = sum(len(step.holds) for step in plan.steps)
+    free_orders = sum(row.feasible and row.stable_throughout for row in plan.orders)
+    return CubePlan(number, *times, plan.order, plan.score, holds, free_orders)
+
+
+def _first_reasons(text: str) -> str:
+    return "; ".join(line.strip() for line in text.splitlines()[:3])
+
+
+def turn_cube(number: int, orientations: int, grasps: bool) -> CubeTurns:
+    """Look for orders without holds in several orientations of one of the 240."""
+    from soma_bullet.assembly.packings import sides_down, soma_cube
+    from soma_bullet.assembly.polycubes import cube_rotations
+
+    cpu = time.process_time()
+    cubes = [soma_cube(number, turn) for turn in (sides_down() if orientations == 6 else cube_rotations())]
+    stable = sum(stable_order(cube) is not None for cube in cubes)
+    gripped = sum(stable_order(cube, grasps=True) is not None for cube in cubes) if grasps else None
+    return CubeTurns(number, len(cubes), stable, gripped, time.process_time() - cpu)
+
+
+def stable_order(cube: Assembly, grasps: bool = False) -> tuple[int, ...] | None:
+    """Some order of a Soma cube along straight ways in, every state of which stands by itself; None if there is none.
+
+    It is taken apart from the top, and placed sets that lead nowhere are remembered.
+
+    Args:
+        grasps: every piece must have a grasp when it goes in.
+    """
+    from soma_bullet.planner.qualities import PlannerOptions, Qualities
+
+    qualities, dead = Qualities(cube, _hand(), PlannerOptions()), set()
+    qualities.grasps = _soma_qualities().grasps  # type: ignore[method-assign]  # of a piece alone: the same in every cube
+    from_top = [int(k) for k in (-cube.goal_centres[:, 2]).argsort(kind="stable")]
+
+    def take_apart(placed: frozenset[int]) -> tuple[int, ...] | None:
+        if not placed:
+            return ()
+        if placed in dead:
+            return None
+        if qualities.stability(placed).verdict != "unstable":
+            for piece in (k for k in from_top if k in placed):
+                rest = placed - {piece}
+                if qualities.assemblability(piece, rest).direction is None:
+                    continue
+                if grasps and not qualities.graspability(piece, rest):
+                    continue
+                before = take_apart(rest)
+                if before is not None:
+                    return (*before, piece)
+        dead.add(placed)
+        return None
+
+    return take_apart(frozenset(from_top))
+
+
+@cache
+def _soma_qualities() -> Qualities:
+    from soma_bullet.assembly.packings import soma_cube
+    from soma_bullet.planner.qualities import PlannerOptions, Qualities
+
+    return Qualities(soma_cube(0), _hand(), PlannerOptions())
+
+
+def cube240(arguments: Cube240) -> None:
+    """Prints the summary, and writes the figures of every cube."""
+    from concurrent.futures import ProcessPoolExecutor, as_completed
+    from multiprocessing import get_context
+
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from soma_bullet.assembly.packings import draw_soma_cubes
+    from soma_bullet.records import package_versions, to_tree
+
+    plans: list[CubePlan] = []
+    turns: list[CubeTurns] = []
+    start = time.perf_counter()
+    with (
+        Progress(console=Console(stderr=True)) as bar,
+        ProcessPoolExecutor(arguments.jobs, mp_context=get_context("spawn")) as pool,
+    ):
+        task = bar.add_task("cubes", total=arguments.plans + arguments.turned)
+        turned = draw_soma_cubes(arguments.turned, arguments.seed)
+        jobs: list[Any] = [pool.submit(turn_cube, k, arguments.orientations, arguments.grasps) for k in turned]
+        jobs += [pool.submit(plan_cube, k) for k in draw_soma_cubes(arguments.plans, arguments.seed)]
+        for job in as_completed(jobs):
+            done = job.result()
+            if isinstance(done, CubePlan):
+                plans.append(done)
+            else:
+                turns.append(done)
+            bar.advance(task)
+    plans.sort(key=lambda plan: plan.number)
+    turns.sort(key=lambda turn: turn.number)
+    figures = {"plans": to_tree(plans), "turns": to_tree(turns), "versions": package_versions()}
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    arguments.out.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    sys.stdout.write(_cube_table(plans, turns))
+    sys.stderr.write(f"{time.perf_counter() - start:.0f} s in {arguments.jobs} processes; written to {arguments.out}\n")
+
+
+def _cube_table(plans: Sequence[CubePlan], turns: Sequence[CubeTurns]) -> str:
+    import numpy as np
+
+    lines = ["| Soma cubes | |", "|-|-|"]
+    if turns:
+        asked = sum(turn.asked for turn in turns)
+        found = {"stands throughout": [turn.stable for turn in turns]}
+        if turns[0].gripped is not None:
+            found["stands throughout and can be gripped"] = [turn.gripped or 0 for turn in turns]
+        lines.append(f"| looked at in {turns[0].asked} orientations | {len(turns)} of 240 |")
+        for what, counts in found.items():
+            lines.append(f"| an order {what}: orientations | {sum(counts)} of {asked} |")
+            every, some = sum(count == turns[0].asked for count in counts), sum(count > 0 for count in counts)
+            lines.append(f"| ... cubes, in every orientation / in some | {every} / {some} |")
+        lines.append(f"| CPU time of an orientation, mean | {1e3 * sum(turn.cpu for turn in turns) / asked:.0f} ms |")
+    if plans:
+        good = [plan for plan in plans if not plan.failure]
+        lines += [
+            f"| planned in full, in the orientation that the solver finds | {len(plans)} of 240 |",
+            f"| planned / no plan | {len(good)} / {len(plans) - len(good)} |",
+            f"| with an order without holds | {sum(plan.free_orders > 0 for plan in good)} |",
+            f"| whose chosen order needs a hold | {sum(plan.holds > 0 for plan in good)} |",
+            f"| orders without holds, of 5,040: {QUANTILES} | {_quantiles([plan.free_orders for plan in good])} |",
+            f"| score of the chosen order: {QUANTILES} | {_quantiles([plan.score for plan in good])} |",
+        ]
+        for name, times in (("wall", [plan.seconds for plan in plans]), ("CPU", [plan.cpu for plan in plans])):
+            lines.append(f"| {name} time of a plan: median, p95 | {np.median(times):.2f} s, {np.percentile(times, 95):.2f} s |")
+        lines += [f"| no plan of cube {plan.number} | {plan.failure} |" for plan in plans if plan.failure]
+    return "\n".join(lines) + "\n"
+
+
+QUANTILES = "smallest, quartiles, largest"
+
+
+def _quantiles(values: Sequence[float]) -> str:
+    import numpy as np
+
+    return ", ".join(f"{value:.3g}" for value in np.quantile(values, (0, 0.25, 0.5, 0.75, 1))) if values else "none"
+
+
 if __name__ == "__main__":
-    raise SystemExit(main(tyro.cli(Arguments)))
+    # many small matrices: threads of the linear algebra would only get in each other's way
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")
+    Command = (
+        Annotated[Stages, tyro.conf.subcommand("stages")]
+        | Annotated[Planner, tyro.conf.subcommand("planner")]
+        | Annotated[Cube240, tyro.conf.subcommand("cube240")]
+    )
+    raise SystemExit(main(tyro.cli(Command, default=Stages(), description=__doc__)))  # type: ignore[arg-type]

@@ -16,6 +16,7 @@ OPENING = 0.004  # [m] a side by which a hand opens to let go
 WAY_OUT = 0.06  # [m] straight back along the approach direction
 MARGIN = 1e-3  # [m] kept to placed pieces and to other hands
 SUPPORT_MARGIN = 2e-3  # [m] kept to the support
+MOST_PAIRS = 20_000  # of boxes that are looked at together, for the sake of memory
 TOUCH = 1e-4  # [m] the pads touch the piece that they grip
 
 
@@ -36,6 +37,10 @@ class HandSweep:
         boxes, grasps, generators, _ = self.generators.shape
         gaps = zonotope_separation(self.centres.reshape(-1, 3), self.generators.reshape(-1, generators, 3), hulls)
         return gaps.reshape(boxes, grasps).min(axis=0)
+
+    def take(self, hands: slice) -> HandSweep:
+        """Some of the hands."""
+        return HandSweep(self.centres[:, hands], self.generators[:, hands])
 
     def above(self, height: float) -> Array:
         """Smallest gap (n,) [m] to the half-space below `height`."""
@@ -98,9 +103,12 @@ def _swept_box(box: Box, x_low: Array, x_high: Array, way_out: float) -> tuple[A
 
 def hands_clear(first: HandSweep, second: HandSweep) -> Mask:
     """Which of a swept hands keep their margin to which of b others: bool (a, b)."""
+    (boxes_a, a), (boxes_b, b) = first.centres.shape[:2], second.centres.shape[:2]
+    if boxes_a * a * boxes_b * b > MOST_PAIRS and a > 1:  # in two halves
+        return np.vstack([hands_clear(first.take(slice(a // 2)), second), hands_clear(first.take(slice(a // 2, a)), second)])
     # every box of either in one call
     flat = [(s.centres.reshape(-1, 3), s.generators.reshape(-1, *s.generators.shape[2:])) for s in (first, second)]
-    gaps = pair_separation(flat[0], flat[1]).reshape(*first.centres.shape[:2], *second.centres.shape[:2])
+    gaps = pair_separation(flat[0], flat[1]).reshape(boxes_a, a, boxes_b, b)
     return np.asarray(gaps.min(axis=(0, 2)) > MARGIN)
 
 

@@ -255,13 +255,14 @@ class Qualities:
         """Which grasps of `piece` keep the hand clear of another body all along the insertion of the piece: bool (n,)."""
         key = (piece, other, tuple(np.round(direction, 6)))
         if key not in self._entering:
-            grasps, goal = self.grasps(piece), self.assembly.goals[piece]
+            # a grasp that is not clear at the goal is no candidate anyway
+            left = np.flatnonzero(self._clear_of(piece, other) & self._clear_of(piece, SUPPORT))
+            grasps, goal = self.grasps(piece).take(left), self.assembly.goals[piece]
             way = direction * way_length(self.assembly, piece, direction)
-            sweep = sweep_hand(self.hand, goal @ grasps.Ts_piece_tcp, grasps.widths, way_out=0.0, sweep=-way)
-            if other == SUPPORT:
-                self._entering[key] = clear_of_scene(sweep, (), self.assembly.support.height)
-            else:
-                self._entering[key] = clear_of_scene(sweep, self.assembly.goal_parts[other], None)
+            sweep = sweep_hand(self.hand, goal @ grasps.Ts_piece_tcp, grasps.widths, opening=0.0, way_out=0.0, sweep=-way)
+            hulls, height = ((), self.assembly.support.height) if other == SUPPORT else (self.assembly.goal_parts[other], None)
+            self._entering[key] = np.zeros(len(self.grasps(piece)), bool)
+            self._entering[key][left[clear_of_scene(sweep, hulls, height)]] = True
         return self._entering[key]
 
     def _clear_of(self, piece: int, other: int) -> Mask:
