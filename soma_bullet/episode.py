@@ -20,7 +20,7 @@ from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError, NoSolutionError
 from soma_bullet.grasp.clearance import OPENING
-from soma_bullet.planner.plan import AssemblyPlan
+from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.qualities import PlannerOptions
 from soma_bullet.planner.store import kept_plan
 from soma_bullet.records import package_versions, read_json, read_npz, write_json, write_npz

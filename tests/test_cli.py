@@ -18,7 +18,7 @@ import pytest
 import trimesh
 
 from soma_bullet.cli.episode import run_episode
-from soma_bullet.planner.plan import AssemblyPlan
+from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.records import read_json, write_json
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from soma_bullet.cli.plan import plan
-from soma_bullet.planner.plan import AssemblyPlan
+from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.records import read_json
 
 ROOT = Path(__file__).resolve().parents[1]

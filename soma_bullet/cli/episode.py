@@ -5,12 +5,13 @@ Imports of the pipeline wait until the arguments are known to be good, so that `
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
+
+from soma_bullet.cli.common import run_command
 
 
 @dataclass(frozen=True)
@@ -97,17 +98,7 @@ class RunArguments:
 
 def run_episode(arguments: list[str] | None = None) -> int:
     """Entry point of `soma-episode` and of scripts/run_episode.py. Returns the exit status."""
-    options = tyro.cli(RunArguments, args=arguments, prog="soma-episode")
-    from soma_bullet.errors import SomaBulletError
-
-    try:
-        return _run(options)
-    except SomaBulletError as error:
-        sys.stderr.write(f"error: {error}\n")
-        return error.exit_status
-    except KeyboardInterrupt:
-        sys.stderr.write("interrupted\n")
-        return 130
+    return run_command(_run, tyro.cli(RunArguments, args=arguments, prog="soma-episode"))
 
 
 def _run(options: RunArguments) -> int:
@@ -196,7 +187,7 @@ def _check(options: RunArguments) -> None:
 def _print_plan(out: Path, console: object) -> None:
     from rich.console import Console
 
-    from soma_bullet.planner.plan import AssemblyPlan
+    from soma_bullet.planner.assembly_plan import AssemblyPlan
     from soma_bullet.records import read_json
     from soma_bullet.report.table import plan_table
 

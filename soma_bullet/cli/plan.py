@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
+
+from soma_bullet.cli.common import run_command
 
 
 @dataclass(frozen=True)
@@ -49,17 +50,7 @@ class PlanArguments:
 
 def plan(arguments: list[str] | None = None) -> int:
     """Entry point of `soma-plan` and of scripts/plan.py. Returns the exit status."""
-    options = tyro.cli(PlanArguments, args=arguments, prog="soma-plan")
-    from soma_bullet.errors import SomaBulletError
-
-    try:
-        return _run(options)
-    except SomaBulletError as error:
-        sys.stderr.write(f"error: {error}\n")
-        return error.exit_status
-    except KeyboardInterrupt:
-        sys.stderr.write("interrupted\n")
-        return 130
+    return run_command(_run, tyro.cli(PlanArguments, args=arguments, prog="soma-plan"))
 
 
 def _run(options: PlanArguments) -> int:

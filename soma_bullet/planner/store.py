@@ -18,7 +18,8 @@ import numpy as np
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError
 from soma_bullet.grasp.hand import Hand
-from soma_bullet.planner.plan import AssemblyPlan, easiest_orders, make_plan, picked
+from soma_bullet.planner.assembly_plan import AssemblyPlan
+from soma_bullet.planner.plan import easiest_orders, make_plan, picked
 from soma_bullet.planner.qualities import PlannerOptions
 from soma_bullet.records import package_versions, read_json, to_tree, write_json
 

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from rich.markup import escape
 from rich.tree import Tree
 
+from soma_bullet.planner.assembly_plan import AssemblyPlan, Hold, PlannedOrder, PlanStep
 from soma_bullet.planner.orders import OrderRow
-from soma_bullet.planner.plan import AssemblyPlan, Hold, PlannedOrder, PlanStep
 from soma_bullet.report.table import number
 
 MOST_REASONS = 8  # lines below one heading; what follows is counted

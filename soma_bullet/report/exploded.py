@@ -10,7 +10,7 @@ import trimesh
 
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, Mask
-from soma_bullet.planner.plan import AssemblyPlan
+from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.report.raster import Body, Camera, Caster, Color, fit_camera
 from soma_bullet.report.shade import Look, render
 from soma_bullet.report.shapes import ELEVATION, arrow, assembly_size, best_azimuth, piece_body, plate

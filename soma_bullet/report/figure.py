@@ -9,8 +9,8 @@ from pathlib import Path
 
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.grasp.hand import Hand
+from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.orders import OrderRow
-from soma_bullet.planner.plan import AssemblyPlan
 from soma_bullet.planner.qualities import Qualities
 from soma_bullet.report.raster import Color
 from soma_bullet.report.sheet import DPI, INK, QUIET, Sheet, format_of

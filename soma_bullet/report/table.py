@@ -6,7 +6,7 @@ import math
 
 from rich.table import Table
 
-from soma_bullet.planner.plan import AssemblyPlan
+from soma_bullet.planner.assembly_plan import AssemblyPlan
 
 
 def number(value: float) -> str:

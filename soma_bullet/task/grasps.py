@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from soma_bullet.frames import Array, from_quat_xyzw, readonly
-from soma_bullet.planner.plan import AssemblyPlan, GraspTable
+from soma_bullet.planner.assembly_plan import AssemblyPlan, GraspTable
 
 
 def grasp_poses(plan: AssemblyPlan, piece: str) -> tuple[Array, Array]:

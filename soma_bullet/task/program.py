@@ -18,7 +18,7 @@ from soma_bullet.grasp.clearance import OPENING
 from soma_bullet.motion.line import LineError, sample_line
 from soma_bullet.motion.timing import HandLimits, TimingError, time_path
 from soma_bullet.motion.transfer import TransferError, TransferOptions, blend_corners, plan_transfer
-from soma_bullet.planner.plan import AssemblyPlan
+from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.robot.collision import Scene
 from soma_bullet.task.feed import Feed
 from soma_bullet.task.grasps import grasp_poses

@@ -18,9 +18,9 @@ from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import Array, Mask, apply, inverse, readonly
 from soma_bullet.grasp.clearance import MARGIN, OPENING, SUPPORT_MARGIN, hand_hulls, sweep_hand
 from soma_bullet.motion.line import LineError, line_back
+from soma_bullet.planner.assembly_plan import AssemblyPlan, PlanStep
 from soma_bullet.planner.assist import HoldCertificate, certify_hold
 from soma_bullet.planner.equilibrium import classify
-from soma_bullet.planner.plan import AssemblyPlan, PlanStep
 from soma_bullet.robot.collision import Scene
 from soma_bullet.task.feed import Feed
 from soma_bullet.task.grasps import grasp_poses

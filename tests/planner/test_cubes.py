@@ -13,7 +13,8 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.assembly.packings import SIDE, Packing, draw_soma_cubes, piece_cells, sides_down, soma_cube, soma_cubes
 from soma_bullet.frames import Array, apply
 from soma_bullet.grasp.hand import Hand
-from soma_bullet.planner.plan import AssemblyPlan, NoPlanError, make_plan
+from soma_bullet.planner.assembly_plan import AssemblyPlan
+from soma_bullet.planner.plan import NoPlanError, make_plan
 
 STEP = 0.05  # of a cell, along a way
 TOUCH = 0.01  # of a cell: cells that face each other may overlap by this much

@@ -28,8 +28,9 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, apply, make_transform, readonly, rotation_about, tangents
 from soma_bullet.grasp.hand import Hand, load_hand
 from soma_bullet.planner.assemblability import Assemblability, analyse_assemblability, analyse_freedom
+from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.equilibrium import equilibrium_margin
-from soma_bullet.planner.plan import AssemblyPlan, make_plan
+from soma_bullet.planner.plan import make_plan
 from soma_bullet.planner.programs import PushRegion
 from soma_bullet.planner.qualities import PlannerOptions, Qualities
 from soma_bullet.validation.subassemblies import assembly_of, random_placements

@@ -16,8 +16,9 @@ import pytest
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError, NoSolutionError
 from soma_bullet.grasp.hand import Hand
+from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.equilibrium import classify
-from soma_bullet.planner.plan import TURNS, AssemblyPlan, make_plan
+from soma_bullet.planner.plan import TURNS, make_plan
 from soma_bullet.planner.qualities import PlannerOptions, Qualities
 from soma_bullet.records import read_json, write_json
 

@@ -11,7 +11,7 @@ import pytest
 
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
-from soma_bullet.planner.plan import AssemblyPlan
+from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.report import exploded
 from soma_bullet.report.exploded import APART, draw_exploded, explode, place_labels
 from soma_bullet.report.raster import Camera, fit_camera

@@ -14,7 +14,7 @@ import pytest
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError
 from soma_bullet.grasp.hand import Hand
-from soma_bullet.planner.plan import AssemblyPlan
+from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.qualities import Qualities
 from soma_bullet.report.figure import Layout, best_rows, draw_orders, minima, number
 from soma_bullet.report.shapes import hand_body, spread_grasps

@@ -6,7 +6,8 @@ import pytest
 
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
-from soma_bullet.planner.plan import AssemblyPlan, make_plan
+from soma_bullet.planner.assembly_plan import AssemblyPlan
+from soma_bullet.planner.plan import make_plan
 from soma_bullet.robot.cell import Cell, load_cell
 from soma_bullet.task.feed import Feed, draw_feed
 from soma_bullet.task.program import Program, make_program

@@ -12,7 +12,7 @@ import pytest
 from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import Array
 from soma_bullet.motion.timing import limit_margins
-from soma_bullet.planner.plan import AssemblyPlan
+from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.records import read_npz, write_npz
 from soma_bullet.task.feed import Feed
 from soma_bullet.task.program import DT, MOTIONS, PLACE, SPEEDS, Program, Segment, make_program, replan

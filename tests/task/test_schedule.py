@@ -10,8 +10,8 @@ import pytest
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import readonly
+from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.equilibrium import classify
-from soma_bullet.planner.plan import AssemblyPlan
 from soma_bullet.task.feed import Feed, draw_feed
 from soma_bullet.task.grasps import grasp_poses
 from soma_bullet.task.schedule import APPROACH, LIFT, SMALLEST_MARGIN, Schedule, Scheduler
