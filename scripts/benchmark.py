@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
@@ -19,9 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from soma_bullet.assembly.model import Assembly
     from soma_bullet.grasp.hand import Hand
-    from soma_bullet.planner.qualities import Qualities
 
 CELL = "ur5e_pair"
 GRASPS = 1000
@@ -351,202 +349,26 @@ def _peak_memory() -> float:
 # --- all Soma cubes ----------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class CubePlan:
-    """What became of the plan of one cube.
-
-    Attributes:
-        number: of the cube.
-        seconds, cpu: wall and CPU time [s].
-        order: the chosen one.
-        score: of it.
-        holds: holds in it.
-        free_orders: feasible orders that need no hold at any step.
-        failure: why there is no plan, else empty.
-    """
-
-    number: int
-    seconds: float
-    cpu: float
-    order: tuple[str, ...] = ()
-    score: float = 0.0
-    holds: int = 0
-    free_orders: int = 0
-    failure: str = ""
-
-
-@dataclass(frozen=True)
-class CubeTurns:
-    """In how many orientations one cube has an order that stands throughout by itself, along straight ways in.
-
-    Attributes:
-        number: of the cube.
-        asked: orientations that were looked at.
-        stable: those with such an order.
-        gripped: those with such an order whose pieces the hand can grip; None where that was not asked.
-        cpu: CPU time [s].
-    """
-
-    number: int
-    asked: int
-    stable: int
-    gripped: int | None
-    cpu: float
-
-
-def plan_cube(number: int) -> CubePlan:
-    """Plan one of the 240 in the orientation that it is found in."""
-    from soma_bullet.assembly.packings import soma_cube
-    from soma_bullet.errors import SomaBulletError
-    from soma_bullet.planner.plan import make_plan
-
-    cube, hand = soma_cube(number), _hand()  # pieces shared with the other cubes: their facets and parts are made once
-    start, cpu = time.perf_counter(), time.process_time()
-    try:
-        plan = make_plan(cube, hand)
-    except SomaBulletError as error:
-        return CubePlan(number, time.perf_counter() - start, time.process_time() - cpu, failure=_first_reasons(str(error)))
-    times = time.perf_counter() - start, time.process_time() - cpu
-    holds = sum(len(step.holds) for step in plan.steps)
-    free_orders = sum(row.feasible and row.stable_throughout for row in plan.orders)
-    return CubePlan(number, *times, plan.order, plan.score, holds, free_orders)
-
-
-def _first_reasons(text: str) -> str:
-    return "; ".join(line.strip() for line in text.splitlines()[:3])
-
-
-def turn_cube(number: int, orientations: int, grasps: bool) -> CubeTurns:
-    """Look for orders without holds in several orientations of one of the 240."""
-    from soma_bullet.assembly.packings import sides_down, soma_cube
-    from soma_bullet.assembly.polycubes import cube_rotations
-
-    cpu = time.process_time()
-    cubes = [soma_cube(number, turn) for turn in (sides_down() if orientations == 6 else cube_rotations())]
-    stable = sum(stable_order(cube) is not None for cube in cubes)
-    gripped = sum(stable_order(cube, grasps=True) is not None for cube in cubes) if grasps else None
-    return CubeTurns(number, len(cubes), stable, gripped, time.process_time() - cpu)
-
-
-def stable_order(cube: Assembly, grasps: bool = False) -> tuple[int, ...] | None:
-    """Some order of a Soma cube along straight ways in, every state of which stands by itself; None if there is none.
-
-    It is taken apart from the top, and placed sets that lead nowhere are remembered.
-
-    Args:
-        grasps: every piece must have a grasp when it goes in.
-    """
-    from soma_bullet.planner.qualities import PlannerOptions, Qualities
-
-    qualities, dead = Qualities(cube, _hand(), PlannerOptions()), set()
-    qualities.grasps = _soma_qualities().grasps  # type: ignore[method-assign]  # of a piece alone: the same in every cube
-    from_top = [int(k) for k in (-cube.goal_centres[:, 2]).argsort(kind="stable")]
-
-    def take_apart(placed: frozenset[int]) -> tuple[int, ...] | None:
-        if not placed:
-            return ()
-        if placed in dead:
-            return None
-        if qualities.stability(placed).verdict != "unstable":
-            for piece in (k for k in from_top if k in placed):
-                rest = placed - {piece}
-                if qualities.assemblability(piece, rest).direction is None:
-                    continue
-                if grasps and not qualities.graspability(piece, rest):
-                    continue
-                before = take_apart(rest)
-                if before is not None:
-                    return (*before, piece)
-        dead.add(placed)
-        return None
-
-    return take_apart(frozenset(from_top))
-
-
-@cache
-def _soma_qualities() -> Qualities:
-    from soma_bullet.assembly.packings import soma_cube
-    from soma_bullet.planner.qualities import PlannerOptions, Qualities
-
-    return Qualities(soma_cube(0), _hand(), PlannerOptions())
-
-
 def cube240(arguments: Cube240) -> None:
     """Prints the summary, and writes the figures of every cube."""
-    from concurrent.futures import ProcessPoolExecutor, as_completed
-    from multiprocessing import get_context
-
     from rich.console import Console
     from rich.progress import Progress
 
-    from soma_bullet.assembly.packings import draw_soma_cubes
     from soma_bullet.records import package_versions, to_tree
+    from soma_bullet.validation.cubes import cube_table, survey_cubes
 
-    plans: list[CubePlan] = []
-    turns: list[CubeTurns] = []
     start = time.perf_counter()
-    with (
-        Progress(console=Console(stderr=True)) as bar,
-        ProcessPoolExecutor(arguments.jobs, mp_context=get_context("spawn")) as pool,
-    ):
+    with Progress(console=Console(stderr=True)) as bar:
         task = bar.add_task("cubes", total=arguments.plans + arguments.turned)
-        turned = draw_soma_cubes(arguments.turned, arguments.seed)
-        jobs: list[Any] = [pool.submit(turn_cube, k, arguments.orientations, arguments.grasps) for k in turned]
-        jobs += [pool.submit(plan_cube, k) for k in draw_soma_cubes(arguments.plans, arguments.seed)]
-        for job in as_completed(jobs):
-            done = job.result()
-            if isinstance(done, CubePlan):
-                plans.append(done)
-            else:
-                turns.append(done)
-            bar.advance(task)
-    plans.sort(key=lambda plan: plan.number)
-    turns.sort(key=lambda turn: turn.number)
+        plans, turns = survey_cubes(
+            arguments.plans, arguments.turned, arguments.orientations, arguments.grasps, arguments.seed, arguments.jobs,
+            lambda: bar.advance(task),
+        )  # fmt: skip
     figures = {"plans": to_tree(plans), "turns": to_tree(turns), "versions": package_versions()}
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     arguments.out.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
-    sys.stdout.write(_cube_table(plans, turns))
+    sys.stdout.write(cube_table(plans, turns))
     sys.stderr.write(f"{time.perf_counter() - start:.0f} s in {arguments.jobs} processes; written to {arguments.out}\n")
-
-
-def _cube_table(plans: Sequence[CubePlan], turns: Sequence[CubeTurns]) -> str:
-    import numpy as np
-
-    lines = ["| Soma cubes | |", "|-|-|"]
-    if turns:
-        asked = sum(turn.asked for turn in turns)
-        found = {"stands throughout": [turn.stable for turn in turns]}
-        if turns[0].gripped is not None:
-            found["stands throughout and can be gripped"] = [turn.gripped or 0 for turn in turns]
-        lines.append(f"| looked at in {turns[0].asked} orientations | {len(turns)} of 240 |")
-        for what, counts in found.items():
-            lines.append(f"| an order {what}: orientations | {sum(counts)} of {asked} |")
-            every, some = sum(count == turns[0].asked for count in counts), sum(count > 0 for count in counts)
-            lines.append(f"| ... cubes, in every orientation / in some | {every} / {some} |")
-        lines.append(f"| CPU time of an orientation, mean | {1e3 * sum(turn.cpu for turn in turns) / asked:.0f} ms |")
-    if plans:
-        good = [plan for plan in plans if not plan.failure]
-        lines += [
-            f"| planned in full, in the orientation that the solver finds | {len(plans)} of 240 |",
-            f"| planned / no plan | {len(good)} / {len(plans) - len(good)} |",
-            f"| with an order without holds | {sum(plan.free_orders > 0 for plan in good)} |",
-            f"| whose chosen order needs a hold | {sum(plan.holds > 0 for plan in good)} |",
-            f"| orders without holds, of 5,040: {QUANTILES} | {_quantiles([plan.free_orders for plan in good])} |",
-            f"| score of the chosen order: {QUANTILES} | {_quantiles([plan.score for plan in good])} |",
-        ]
-        for name, times in (("wall", [plan.seconds for plan in plans]), ("CPU", [plan.cpu for plan in plans])):
-            lines.append(f"| {name} time of a plan: median, p95 | {np.median(times):.2f} s, {np.percentile(times, 95):.2f} s |")
-        lines += [f"| no plan of cube {plan.number} | {plan.failure} |" for plan in plans if plan.failure]
-    return "\n".join(lines) + "\n"
-
-
-QUANTILES = "smallest, quartiles, largest"
-
-
-def _quantiles(values: Sequence[float]) -> str:
-    import numpy as np
-
-    return ", ".join(f"{value:.3g}" for value in np.quantile(values, (0, 0.25, 0.5, 0.75, 1))) if values else "none"
 
 
 if __name__ == "__main__":
