@@ -31,30 +31,36 @@ def zonotope_separation(centres: Array, generators: Array, hulls: Sequence[Hull]
     Returns:
         (n,) [m]: positive is a gap (a lower bound of the distance), negative a penetration depth; +inf without polytopes.
     """
-    separation = np.full(len(centres), np.inf)
-    if not len(centres):
-        return separation
+    if not len(centres) or not len(hulls):
+        return np.full(len(centres), np.inf)
+    # boxes along the axes of the frame tell most pairs apart
+    half = np.abs(generators).sum(axis=1)
+    low, high = np.array([hull.bounds[0] for hull in hulls]), np.array([hull.bounds[1] for hull in hulls])
+    gaps = np.maximum((centres - half)[None] - high[:, None], low[:, None] - (centres + half)[None]).max(axis=2)
+    undecided = np.flatnonzero((gaps < FAR).any(axis=0))
+    if len(undecided):
+        gaps[:, undecided] = _gaps(centres[undecided], generators[undecided], hulls, gaps[:, undecided])
+    return gaps.min(axis=0)
+
+
+def _gaps(centres: Array, generators: Array, hulls: Sequence[Hull], gaps: Array) -> Array:
+    """Gaps (h, n) [m] of n zonotopes from every hull, given lower bounds of them; those beyond FAR are left as they are."""
     # coordinates first: sums over them are then sums of whole arrays
     middle, spread = centres.T, np.moveaxis(generators, 2, 0)
     first, second = np.triu_indices(generators.shape[1], 1)
     own = _cross(spread[:, :, first], spread[:, :, second])
-    own_span = _span(own, middle, spread)
-    half = np.abs(generators).sum(axis=1)
-    for hull in hulls:
-        # boxes along the axes of the frame tell most pairs apart
-        gap = np.maximum(centres - half - hull.bounds[1], hull.bounds[0] - centres - half).max(axis=1)
+    at, reach = _span(own, middle, spread)
+    for hull, gap in zip(hulls, gaps, strict=True):
         close = np.flatnonzero(gap < FAR)
         if len(close):
-            at, reach = own_span[0][close], own_span[1][close]
-            gap[close] = np.maximum(gap[close], _widest_gap(own[:, close], (at, reach), hull))
+            gap[close] = np.maximum(gap[close], _widest_gap(own[:, close], (at[close], reach[close]), hull))
             shared = np.broadcast_to(hull.axes.T[:, None], (3, len(close), len(hull.axes)))
             gap[close] = np.maximum(gap[close], _widest_gap(shared, _span(shared, middle[:, close], spread[:, close]), hull))
-        near = np.flatnonzero(gap < FAR)
+        near = close[gap[close] < FAR]
         if len(near):
             crossed = _cross(spread[:, near, :, None], hull.edges.T[:, None, None]).reshape(3, len(near), -1)
             gap[near] = np.maximum(gap[near], _widest_gap(crossed, _span(crossed, middle[:, near], spread[:, near]), hull))
-        separation = np.minimum(separation, gap)
-    return separation
+    return gaps
 
 
 def pair_separation(first: tuple[Array, Array], second: tuple[Array, Array]) -> Array:

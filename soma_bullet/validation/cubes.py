@@ -191,7 +191,8 @@ def cube_table(plans: Sequence[CubePlan], turns: Sequence[CubeTurns]) -> str:
         ]
         for name, times in (("wall", [plan.seconds for plan in plans]), ("CPU", [plan.cpu for plan in plans])):
             lines.append(f"| {name} time of a plan: median, p95 | {np.median(times):.2f} s, {np.percentile(times, 95):.2f} s |")
-        lines += [f"| no plan of cube {plan.number} | {plan.failure} |" for plan in plans if plan.failure]
+        failed = ", ".join(str(plan.number) for plan in plans if plan.failure)
+        lines += [f"| no plan | {failed} |"] if failed else []
     return "\n".join(lines) + "\n"
 
 
