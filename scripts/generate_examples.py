@@ -148,12 +148,12 @@ def tower() -> Solids:
 
 
 def hinge() -> Solids:
-    """The pin's origin is below its head, its shank goes down; so it lies along -x at its goal."""
+    """The pin's origin is below its knob, its shank goes down; so it lies along -x at its goal. A hand grips the knob."""
     bore = peg(6, 100, FINE).translate([0, 0, -50]).rotate([0, 90, 0])
     cheek = block(10, 28, 40).translate([15, 0, 8])
     clevis = block(44, 34, 8) + cheek + cheek.mirror([1, 0, 0]) - bore.translate([0, 0, 34])
     link = block(20, 24, 72) - bore.translate([0, 0, 26])
-    return {"clevis.stl": clevis, "link.stl": link, "pin.stl": peg(6, 46, FINE).translate([0, 0, -46]) + peg(10, 9, FINE)}
+    return {"clevis.stl": clevis, "link.stl": link, "pin.stl": peg(6, 46, FINE).translate([0, 0, -46]) + peg(10, 22, FINE)}
 
 
 def crate() -> Solids:

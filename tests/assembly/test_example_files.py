@@ -18,7 +18,7 @@ FORMATS = {".obj", ".stl", ".ply", ".glb"}
 # total volume [cm3]; round pieces have that of their prisms
 VOLUMES = {
     "arch": 83.11, "bracket": 59.92, "burr": 110.81, "crate": 110.89, "dovetail": 87.09, "dowel": 66.36, "gears": 82.84,
-    "hinge": 72.34, "leaning_bridge": 85.80, "sliding_lid": 125.94, "stool": 80.40, "tower": 114.89, "wedge_clamp": 191.43,
+    "hinge": 76.32, "leaning_bridge": 85.80, "sliding_lid": 125.94, "stool": 80.40, "tower": 114.89, "wedge_clamp": 191.43,
     "soma3": 69.65, "soma4": 94.97, "cube": 170.95,
 }  # fmt: skip
 
