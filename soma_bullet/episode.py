@@ -19,7 +19,7 @@ import numpy as np
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError, NoSolutionError
-from soma_bullet.grasp.clearance import OPENING
+from soma_bullet.executive import ExecutionOptions, Executive
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.qualities import PlannerOptions
 from soma_bullet.planner.store import kept_plan
@@ -27,12 +27,15 @@ from soma_bullet.records import package_versions, read_json, read_npz, write_jso
 from soma_bullet.report.report import EpisodeReport
 from soma_bullet.robot.cell import Cell, find_hand, load_cell
 from soma_bullet.sim.execute import Executor
+from soma_bullet.sim.guide import Compliance
 from soma_bullet.sim.judge import Tolerance, judge
 from soma_bullet.sim.log import ExecutionLog
 from soma_bullet.sim.stage import Physics
 from soma_bullet.sim.world import World
 from soma_bullet.task.feed import Feed, FeedOptions, draw_feed, misplace
-from soma_bullet.task.program import MOTIONS, SMALLEST_JUMP, Program, make_program, replan
+from soma_bullet.task.overlap import overlapped
+from soma_bullet.task.program import make_program
+from soma_bullet.task.segments import Program
 from soma_bullet.task.workcell import Workcell
 
 if TYPE_CHECKING:
@@ -52,6 +55,7 @@ class EpisodeOptions:
         seed: of everything random.
         planner: how orders are judged; its seed is the episode's.
         feed: how the pieces are fed.
+        execution: how the program is executed.
         physics: how the world is simulated.
         tolerance: of the verdict.
         ablate: `hold` opens the assisting hand where it should hold.
@@ -63,6 +67,7 @@ class EpisodeOptions:
     seed: int = 0
     planner: PlannerOptions = PlannerOptions()
     feed: FeedOptions = FeedOptions()
+    execution: ExecutionOptions = ExecutionOptions()
     physics: Physics = Physics()
     tolerance: Tolerance = Tolerance()
     ablate: str = ""
@@ -125,6 +130,8 @@ def run_episode(
             workcell = Workcell(model, cell)
             if program is None:
                 plan, program = _plan_and_program(model, workcell, plan, options, progress)
+                if options.execution.together:
+                    program = overlapped(workcell, program)
         _write(out, "plan.json", plan)
         _write(out, "program.npz", program)
         with clock.stage("execution"):
@@ -148,10 +155,12 @@ def run_episode(
         ablation=options.ablate,
         tolerance=options.tolerance,
         judgement=verdict,
-        feed_rejected={"overlap": program.feed.overlaps, "no common grasp": program.feed.graspless} if program else {},
+        feed_rejected={"overlap": program.feed.overlaps} if program else {},
         rejections=program.schedule.rejections if program else {},
         certificates=_certificates(program),
         makespan_s=verdict.makespan_s,
+        planned_s=_planned(program),
+        events=log.events,
         wall_s={name: round(seconds, 3) for name, seconds in clock.seconds.items()},
         video=video,
         versions=package_versions(),
@@ -175,6 +184,14 @@ def _certificates(program: Program | None) -> dict[str, float]:
     """Margin of every hold of the schedule, by piece."""
     assignments = program.schedule.assignments if program else ()
     return {a.piece: round(a.certificate.margin, 3) for a in assignments if a.certificate is not None}
+
+
+def _planned(program: Program | None) -> dict[str, float]:
+    """Planned makespans [s]: of the program, and of one arm at a time where both were planned."""
+    if program is None:
+        return {}
+    planned = {"together": round(program.makespan, 3), "one at a time": round(program.alone, 3)}
+    return planned if np.isfinite(program.alone) else {"one at a time": planned["together"]}
 
 
 def _load_cell(options: EpisodeOptions) -> Cell:
@@ -248,31 +265,14 @@ def _plan_and_program(
 def execute(
     assembly: Assembly, workcell: Workcell, plan: AssemblyPlan, program: Program, options: EpisodeOptions, progress: Progress
 ) -> ExecutionLog:
-    """The executive loop: run a segment, look at what was measured, go on as planned or plan on from there."""
+    """The program in physics, and what the executive makes of it."""
     actual: Feed = misplace(assembly, program.feed, options.feed, options.seed)
     poses = {name: actual.pose(name) for name in actual.names}
     world = World(workcell.cell, assembly, program.stand, poses, np.array(workcell.robot.home), options.physics)
     try:
-        executor = Executor(world, program)
-        ended = "done"
-        for k, segment in enumerate(program.segments):
-            progress(f"{workcell.cell.arms[segment.arm].name}: {segment.kind} {segment.piece}", k / len(program.segments))
-            measured = world.measured_joints()
-            if segment.kind in MOTIONS and np.abs(measured[segment.arm] - segment.path[0]).max() > SMALLEST_JUMP:
-                try:
-                    segment = replan(workcell, plan, program, k, measured)
-                except NoSolutionError as error:
-                    ended = error.summary
-                    break
-            observation = executor.run(segment)
-            if observation.outcome in ("jammed", "lost") and not options.ablate:
-                force, left = np.linalg.norm(observation.force), observation.remaining * 1e3
-                ended = f"{segment.piece} {observation.outcome} in {segment.kind} ({force:.1f} N, {left:.1f} mm left)"
-                break
-            if options.ablate == "hold" and segment.kind == "settle":
-                assignment = program.schedule.assignments[segment.step]
-                if segment.piece in assignment.holds:
-                    executor.let_go(segment, assignment.width + 2 * OPENING)
+        executor = Executor(world, program, Compliance() if options.execution.compliant else None)
+        executive = Executive(workcell, plan, program, executor, options.feed, options.execution, options.ablate, progress)
+        ended = executive.run()
         executor.settle()
         return executor.log(ended)
     finally:

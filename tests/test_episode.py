@@ -16,7 +16,7 @@ from soma_bullet.report.report import EpisodeReport
 from soma_bullet.robot.cell import load_cell
 from soma_bullet.sim.film import FilmOptions
 from soma_bullet.sim.log import ExecutionLog
-from soma_bullet.task.program import Program
+from soma_bullet.task.segments import Program
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("episode")]
 FILM = FilmOptions((320, 180), fps=5.0, speed=8.0, supersampling=1, jobs=1)
@@ -79,8 +79,9 @@ def test_the_report_says_everything(built: Run) -> None:
     assert report["success"] is True and (report["assembly"], report["cell"], report["seed"]) == ("soma3", "ur5e_pair", 0)
     assert [set(piece) >= {"name", "error_mm", "error_max_mm", "error_deg"} for piece in report["pieces"]] == [True] * 3
     assert {"slips", "holds", "forbidden", "insertions", "dropped", "limits", "causes"} <= set(report["judgement"])
-    assert len(report["judgement"]["slips"]) == len(report["judgement"]["insertions"]) == 3
-    assert 10.0 < report["makespan_s"] < 60.0
+    assert len(report["judgement"]["slips"]) >= len(report["judgement"]["insertions"]) == 3  # a piece may be gripped twice
+    assert 10.0 < report["makespan_s"] < 90.0
+    assert report["planned_s"]["together"] < report["planned_s"]["one at a time"]
     assert {"load", "plan", "motion", "execution", "judgement", "video"} == set(report["wall_s"])
     assert all(seconds >= 0.0 for seconds in report["wall_s"].values())
     assert set(report["versions"]) == set(VERSIONED)

@@ -45,6 +45,12 @@ def piece_faults(piece: Workpiece) -> Iterator[str]:
             f"{where}: clearance {piece.clearance * 1e3:g} mm eats a part that is {thinnest * 1e3:.4g} mm thin; "
             f"it must be below {LARGEST_CLEARANCE * thinnest * 1e3:.4g} mm"
         )
+    elif 2 * piece.chamfer >= thinnest - 2 * piece.clearance:
+        half = thinnest / 2 - piece.clearance
+        yield (
+            f"{where}: chamfer {piece.chamfer * 1e3:g} mm leaves nothing of a face of a part that is {thinnest * 1e3:.4g} mm "
+            f"thin; it must be below {half * 1e3:.4g} mm"
+        )
 
 
 def _thickness(part: Hull, faces: Indices) -> float:

@@ -19,6 +19,7 @@ from soma_bullet.frames import Array, make_transform
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}  # [m]
 QUATERNION_TOLERANCE = 1e-3  # of the norm: rounding in a file is normalised away, a mistake is not
 LARGEST_FRICTION = 2.0
+VALUES = ("density", "friction", "clearance", "chamfer")  # keys of a piece that `[defaults]` may set
 CLEARANCE = 1e-4  # [m] where the file gives none
 PALETTE = ("#3a76c4", "#e88fae", "#f2c14e", "#5aa469", "#e07a3f", "#2f9c95", "#8d6ab8")
 
@@ -45,11 +46,12 @@ class SupportEntry:
 
 @dataclass(frozen=True)
 class DefaultsEntry:
-    """`[defaults]`; clearance in the file's unit, None for 0.1 mm."""
+    """`[defaults]`; clearance and chamfer in the file's unit, clearance None for 0.1 mm."""
 
     density: float = 700.0
     friction: float = 0.5
     clearance: float | None = None
+    chamfer: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,7 @@ class PieceEntry:
     density: float = 0.0
     friction: float = 0.0
     clearance: float = 0.0
+    chamfer: float = 0.0
     color: Color = Color((0.0, 0.0, 0.0))
 
 
@@ -83,6 +86,7 @@ class FileEntry:
             "density": self.defaults.density,
             "friction": self.defaults.friction,
             "clearance": CLEARANCE / UNITS[self.unit] if clearance is None else clearance,
+            "chamfer": self.defaults.chamfer,
             "color": PALETTE[number % len(PALETTE)],
         }
 
@@ -191,8 +195,8 @@ def parse_entries(raw: Mapping[str, Any], faults: list[str]) -> tuple[FileEntry 
         head = _stand_in(raw)
     if head is not None:
         faults += _name_faults("the file", head.name)
-        faults += _value_faults("[support]", None, head.support.friction, None)
-        faults += _value_faults("[defaults]", head.defaults.density, head.defaults.friction, head.defaults.clearance)
+        faults += _value_faults("[support]", friction=head.support.friction)
+        faults += _value_faults("[defaults]", **{key: getattr(head.defaults, key) for key in VALUES})
     names = [table.get("name") for table in tables]
     for name in dict.fromkeys(name for name in names if isinstance(name, str) and names.count(name) > 1):
         numbers = " and ".join(str(number) for number, other in enumerate(names, 1) if other == name)
@@ -203,7 +207,7 @@ def parse_entries(raw: Mapping[str, Any], faults: list[str]) -> tuple[FileEntry 
         entry = _structure(({} if head is None else head.of_every_piece(number - 1)) | table, PieceEntry, where, faults)
         if entry is None:
             continue
-        own = {key: getattr(entry, key) if key in table else None for key in ("density", "friction", "clearance")}
+        own = {key: getattr(entry, key) if key in table else None for key in VALUES}
         faults += [*_name_faults(where, entry.name), *_value_faults(where, **own)]
         if entry.mesh_unit in UNITS:
             entries.append(entry)
@@ -254,13 +258,21 @@ def _length_faults(where: str, values: Numbers, labels: str) -> list[str]:
     return [] if len(values) == count else [f"{where} has {len(values)} numbers; {labels} are {count}"]
 
 
-def _value_faults(where: str, density: float | None, friction: float | None, clearance: float | None) -> Iterator[str]:
+def _value_faults(
+    where: str,
+    density: float | None = None,
+    friction: float | None = None,
+    clearance: float | None = None,
+    chamfer: float | None = None,
+) -> Iterator[str]:
     if density is not None and density <= 0:
         yield f"{where}: density {density:g} kg/m3 must be above 0"
     if friction is not None and not 0 <= friction <= LARGEST_FRICTION:
         yield f"{where}: friction {friction:g} must lie in 0 to {LARGEST_FRICTION:g}"
     if clearance is not None and clearance < 0:
         yield f"{where}: clearance {clearance:g} must not be negative; it is how far faces stand back from the mesh"
+    if chamfer is not None and chamfer < 0:
+        yield f"{where}: chamfer {chamfer:g} must not be negative; it is how much of the edges is cut"
 
 
 def _name_faults(where: str, name: str) -> Iterator[str]:

@@ -11,8 +11,9 @@
     density = 700.0        # kg/m3
     friction = 0.5
     clearance = 0.1        # by how much every face of the real piece stands back from its mesh
+    chamfer = 0.0          # by how much the edges of the real piece are cut, along both of their faces
 
-    [[piece]]              # one for each; mesh_unit, color, density, friction and clearance are optional
+    [[piece]]              # one for each; mesh_unit, color, density, friction, clearance and chamfer are optional
     name = "Z"
     mesh = "Z.obj"         # obj, stl, ply or glb; relative to this file
     mesh_unit = "mm"       # where it is not the file's unit
@@ -60,7 +61,8 @@ def load_assembly(path_or_name: str | Path) -> Assembly:
         if loaded is not None and goal is not None:
             pieces.append(loaded[0])
             goals.append(goal)
-            hashes.append(asdict(entry) | {"mesh": loaded[1]})
+            said = {key: value for key, value in asdict(entry).items() if key != "chamfer" or value}
+            hashes.append(said | {"mesh": loaded[1]})
     content = {"name": head.name, "unit": head.unit, "support": asdict(head.support), "pieces": hashes}
     assembly = Assembly(
         name=head.name,
@@ -126,7 +128,9 @@ def _workpiece(entry: PieceEntry, folder: Path, scale: float) -> tuple[Workpiece
     """The piece and its mesh file's hash. Raises Faults."""
     vertices, faces, digest = read_mesh(folder, entry.mesh, UNITS[entry.mesh_unit], f"piece {entry.name!r}")
     clearance = entry.clearance * scale
-    piece = Workpiece(entry.name, vertices, faces, entry.density, entry.friction, clearance, entry.color)
+    piece = Workpiece(
+        entry.name, vertices, faces, entry.density, entry.friction, clearance, entry.color, entry.chamfer * scale
+    )  # fmt: skip
     faults = tuple(piece_faults(piece))
     if faults:
         raise Faults(*faults)

@@ -72,6 +72,20 @@ class Hull:
             raise ValueError(f"an inset of {distance * 1e3:g} mm leaves nothing of a polytope")
         return hull_of_points(HalfspaceIntersection(planes, inside).intersections)
 
+    def cut(self, planes: Array) -> Hull:
+        """What of the polytope lies in half-spaces (k, 4) normal . x + offset <= 0.
+
+        Raises:
+            ValueError: nothing is left.
+        """
+        if not len(planes):
+            return self
+        every = np.vstack([np.column_stack([self.normals, -self.offsets]), planes])
+        depth, inside = _deepest_point(every)
+        if depth <= 1e-9:
+            raise ValueError("nothing of a polytope is left by its cuts")
+        return hull_of_points(HalfspaceIntersection(every, inside).intersections)
+
 
 def _deepest_point(planes: Array) -> tuple[float, Array]:
     """Radius [m] and centre (3,) of the largest ball inside half-spaces (f, 4) normal . x + offset <= 0."""

@@ -26,6 +26,8 @@ class Workpiece:
         friction: Coulomb coefficient against the other pieces and the support.
         clearance: how much every face of the real body stands back from the nominal mesh [m]; two pieces fit with a gap of
             twice that.
+        chamfer: by how much the edges of the real body are cut, along both of their faces [m]. Mass and inertia are still
+            those of the whole: what is missing is below one percent for chamfers up to a twentieth of a piece's thickness.
         color: red, green, blue in 0..1, for pictures.
     """
 
@@ -36,6 +38,7 @@ class Workpiece:
     friction: float = 0.5
     clearance: float = 1e-4
     color: tuple[float, float, float] = (0.7, 0.7, 0.7)
+    chamfer: float = 0.0
 
     @cached_property
     def mesh(self) -> trimesh.Trimesh:
@@ -90,5 +93,5 @@ class Workpiece:
 
     @cached_property
     def body_parts(self) -> tuple[Hull, ...]:
-        """Convex polytopes of the real body: `parts` with every face of the body inset by the clearance."""
+        """Convex polytopes of the real body: `parts` with every face of the body inset by the clearance; edges are whole."""
         return self.decomposition.inset(self.clearance)

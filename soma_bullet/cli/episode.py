@@ -20,6 +20,8 @@ class FeedArguments:
 
     layout: Literal["random", "rows"] = "random"
     """random: anywhere in the feed areas, at any yaw; rows: spread out evenly, without yaw."""
+    poses: Literal["all", "preferred"] = "all"
+    """all: in any pose in which a piece rests steadily; preferred: in that with the most grasps that serve at the goal too."""
     noise_mm: float = 0.0
     """One sigma of the error of the perceived places in x and y [mm]: pieces really lie elsewhere."""
     noise_deg: float = 0.0
@@ -34,7 +36,7 @@ class PhysicsArguments:
     """Time steps for each sample of a trajectory; trajectories are fed at 480 Hz."""
     solver: Literal["pgs", "dantzig"] = "pgs"
     """pgs iterates, with a friction cone; dantzig solves contacts between pieces exactly, with a friction pyramid."""
-    iterations: int = 300
+    iterations: int = 60
     """Iterations of the solver a step; with fewer, gripped pieces slip."""
     grip_force: float | None = None
     """[N]; the hand's own by default."""
@@ -42,6 +44,20 @@ class PhysicsArguments:
     """Factor on every friction coefficient of the simulated world; the planner does not know."""
     mass: float = 1.0
     """Factor on every piece's mass; the planner does not know."""
+
+
+@dataclass(frozen=True)
+class ExecutionArguments:
+    """How the program is executed."""
+
+    together: bool = True
+    """The arms move at the same time where it is safe; --execution.no-together: one at a time."""
+    compliant: bool = True
+    """The wrist's force guides insertions; --execution.no-compliant: they stop at the first touch."""
+    recover: bool = True
+    """What does not go as planned is tried again where possible; --execution.no-recover: it ends the episode."""
+    longest: float = 900.0
+    """Simulated time [s] after which an episode is ended."""
 
 
 @dataclass(frozen=True)
@@ -92,6 +108,7 @@ class RunArguments:
     tolerance_deg: float = 2.0
     """... and it is turned by no more than this [deg]."""
     feed: FeedArguments = field(default_factory=FeedArguments)
+    execution: ExecutionArguments = field(default_factory=ExecutionArguments)
     physics: PhysicsArguments = field(default_factory=PhysicsArguments)
     film: VideoArguments = field(default_factory=VideoArguments)
 
@@ -109,6 +126,7 @@ def _run(options: RunArguments) -> int:
     from soma_bullet.assembly.file import load_assembly
     from soma_bullet.episode import EpisodeOptions
     from soma_bullet.episode import run_episode as run
+    from soma_bullet.executive import ExecutionOptions
     from soma_bullet.planner.qualities import PlannerOptions
     from soma_bullet.report.report import print_report
     from soma_bullet.sim.film import FilmOptions
@@ -126,7 +144,8 @@ def _run(options: RunArguments) -> int:
         hand=options.hand,
         seed=options.seed,
         planner=PlannerOptions(stability=options.stability),
-        feed=FeedOptions(options.feed.layout, options.feed.noise_mm, options.feed.noise_deg),
+        feed=FeedOptions(**vars(options.feed)),
+        execution=ExecutionOptions(**vars(options.execution)),
         physics=Physics(
             physics.substeps,
             physics.solver,
@@ -175,6 +194,10 @@ def _check(options: RunArguments) -> None:
         demand(math.isfinite(value) and value >= 0, f"--{name} {value:g}: must not be negative")
     physics = options.physics
     demand(1 <= physics.substeps <= 20, f"--physics.substeps {physics.substeps}: must be from 1 to 20")
+    demand(
+        0 < options.execution.longest <= 1e5,
+        f"--execution.longest {options.execution.longest:g}: must be above 0 s and at most 1e5",
+    )
     demand(1 <= physics.iterations <= 10_000, f"--physics.iterations {physics.iterations}: must be from 1 to 10000")
     force = physics.grip_force
     demand(force is None or (math.isfinite(force) and force > 0), f"--physics.grip-force {force}: must be positive")

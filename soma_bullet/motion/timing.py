@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -44,7 +45,7 @@ def time_path(
         TimingError
     """
     import toppra
-    from toppra import algorithm, constraint
+    from toppra import algorithm
 
     toppra.setup_logging("ERROR")
     if len(path) < 2 or np.abs(path[-1] - path[0]).max() < 1e-9 and np.abs(path - path[0]).max() < 1e-9:
@@ -56,35 +57,77 @@ def time_path(
     arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     keep = np.concatenate([[True], np.diff(arc) > 1e-9])
     spline = toppra.SplineInterpolator(arc[keep] / arc[-1], points[keep], bc_type="natural")
-    limits = [
-        constraint.JointVelocityConstraint(np.column_stack([-vmax, vmax])),
-        constraint.JointAccelerationConstraint(
-            np.column_stack([-amax, amax]), discretization_scheme=constraint.DiscretizationType.Interpolation
-        ),
-    ]
+    limits = list(_limits(tuple(vmax.tolist()), tuple(amax.tolist())))
     # the knots belong to the grid: between coarser points a tight corner would go unseen
     grid = np.union1d(np.linspace(0, 1, GRID), np.round(arc[keep] / arc[-1], 12))
     grid = grid[np.concatenate([[True], np.diff(grid) > 1e-6])]
     grid[-1] = 1.0
     instance = algorithm.TOPPRA(limits, spline, gridpoints=grid, parametrizer="ParametrizeConstAccel")
-    timed = instance.compute_trajectory(0, 0)
-    if timed is None:
+    instance.compute_parameterization(0, 0)
+    if instance.problem_data.return_code != algorithm.algorithm.ParameterizationReturnCode.Ok:
         raise TimingError("toppra found no timing within the limits")
+    timed = _Timed(spline, instance.problem_data.gridpoints, instance.problem_data.sd_vec)
     stretch = _stretch(timed, velocity, acceleration)
     if stretch > LARGEST_STRETCH:
         raise TimingError(f"the timed trajectory would have to be {stretch:.1f} times slower to keep the limits")
     steps = max(1, int(np.ceil(timed.duration * stretch / dt)))
     times = np.linspace(0, timed.duration, steps + 1)  # stretched by less than one step more
-    samples = np.asarray(timed(times))[:, : path.shape[1]]
+    samples = timed.positions(times)[:, : path.shape[1]]
     samples[0], samples[-1] = path[0], path[-1]
     return samples
 
 
-def _stretch(timed: Any, velocity: Array, acceleration: Array) -> float:
+@lru_cache(maxsize=32)
+def _limits(velocity: tuple[float, ...], acceleration: tuple[float, ...]) -> tuple[Any, Any]:
+    """toppra's constraints for joint limits; they know nothing of a path, and are dear to make."""
+    from toppra import constraint
+
+    vmax, amax = np.array(velocity), np.array(acceleration)
+    return (
+        constraint.JointVelocityConstraint(np.column_stack([-vmax, vmax])),
+        constraint.JointAccelerationConstraint(
+            np.column_stack([-amax, amax]), discretization_scheme=constraint.DiscretizationType.Interpolation
+        ),
+    )
+
+
+class _Timed:
+    """A path (a spline) gone along with constant acceleration between grid points, all at once what toppra does one by one.
+
+    Args:
+        grid: places along the path (n,); speeds: of the place there (n,) [1/s].
+    """
+
+    def __init__(self, spline: Any, grid: Array, speeds: Array):
+        self.spline, self.grid, self.speeds = spline, grid, speeds
+        gaps, squares = np.diff(grid), speeds**2
+        self.rates = 0.5 * np.diff(squares) / gaps  # [1/s^2]
+        self.times = np.cumsum(np.concatenate([[0.0], 2 * gaps / (speeds[:-1] + speeds[1:])]))  # [s]
+        self.duration = float(self.times[-1])
+
+    def _places(self, times: Array) -> tuple[Array, Array, Array]:
+        """Place, speed and acceleration along the path."""
+        k = np.minimum(np.searchsorted(self.times, times, side="right") - 1, len(self.rates) - 1)
+        dt, rate, speed = times - self.times[k], self.rates[k], self.speeds[k]
+        return self.grid[k] + dt * speed + 0.5 * np.float_power(dt, 2) * rate, speed + dt * rate, rate
+
+    def positions(self, times: Array) -> Array:
+        """Joints (n, j) at times (n,) [s]."""
+        return np.asarray(self.spline(self._places(times)[0]))
+
+    def rates_of_change(self, times: Array) -> tuple[Array, Array]:
+        """Velocities and accelerations of the joints (n, j) at times (n,) [s]."""
+        place, speed, rate = self._places(times)
+        along, bend = self.spline(place, 1), self.spline(place, 2)
+        return along * speed[:, None], bend * speed[:, None] ** 2 + along * rate[:, None]
+
+
+def _stretch(timed: _Timed, velocity: Array, acceleration: Array) -> float:
     """Factor by which a trajectory must be slowed down to keep its limits everywhere at 1 kHz: 1 where it does."""
     times = np.linspace(0, timed.duration, max(2, int(timed.duration * 1000)))
-    speed = (np.abs(timed(times, 1)[:, : len(velocity)]) / velocity).max()
-    rate = (np.abs(timed(times, 2)[:, : len(velocity)]) / acceleration).max()
+    velocities, accelerations = timed.rates_of_change(times)
+    speed = (np.abs(velocities[:, : len(velocity)]) / velocity).max()
+    rate = (np.abs(accelerations[:, : len(velocity)]) / acceleration).max()
     return float(max(1.0, speed / EXCESS, np.sqrt(rate / EXCESS)))
 
 

@@ -15,6 +15,7 @@ from soma_bullet.frames import Array
 
 EDGE_STEP = 0.02  # [rad] largest joint step between checked states
 SHORTCUTS = 40  # attempts
+LEAST_GAIN = 0.01  # of the path's length; a shortcut that would save less is not worth its checks
 BLEND = 0.1  # [rad] radius of a blended corner
 ROOM = 1.2  # [rad] the planner may leave the box of starts and goals by this
 
@@ -139,7 +140,8 @@ def _shortcut(path: Array, collides: Check, rng: np.random.Generator, step: floa
             continue
         a = points[i] + (points[i + 1] - points[i]) * (first - lengths[i]) / (lengths[i + 1] - lengths[i])
         b = points[j] + (points[j + 1] - points[j]) * (second - lengths[j]) / (lengths[j + 1] - lengths[j])
-        if edge_free(a, b, collides, step):
+        saved = second - first - float(np.linalg.norm(b - a))
+        if saved >= LEAST_GAIN * lengths[-1] and edge_free(a, b, collides, step):
             points = [*points[: i + 1], a, b, *points[j + 1 :]]
     return _without_crumbs(np.array(points), collides, step)
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from soma_bullet.sim.judge import Judgement, PieceVerdict, Tolerance
+from soma_bullet.sim.log import Event
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,8 @@ class EpisodeReport:
         rejections: what the schedule's search ruled out, and how often.
         certificates: held piece -> factor by which the load that its hold must resist could grow.
         makespan_s: simulated time until both hands had let go and left.
+        planned_s: the same as planned, `together`, and `one at a time`: what the arms would take one after the other.
+        events: what the executive noticed and decided on the way.
         wall_s: wall time of each stage.
         video: its file and renderer, or why there is none.
         versions: packages that the numbers depend on.
@@ -45,6 +49,8 @@ class EpisodeReport:
     rejections: dict[str, int]
     certificates: dict[str, float]
     makespan_s: float
+    planned_s: dict[str, float]
+    events: tuple[Event, ...]
     wall_s: dict[str, float]
     video: dict[str, str]
     versions: dict[str, str]
@@ -84,8 +90,19 @@ def print_report(report: EpisodeReport, console: Console) -> None:
         )
     stages = "   ".join(f"{name} {seconds:.1f} s" for name, seconds in report.wall_s.items())
     console.print(f"wall time   {stages}")
-    console.print(f"makespan    {report.makespan_s:.1f} s simulated")
+    console.print(f"makespan    {report.makespan_s:.1f} s simulated{_saved(report.planned_s)}")
+    for event in report.events:
+        if event.kind != "looked":
+            console.print(f"{event.time:7.1f} s   {event.kind}: {event.piece} {event.text}", markup=False)
     if report.success:
         console.print("[bold green]success[/]: every piece is in place, nothing was dropped, nothing forbidden was touched")
     else:
         console.print("[bold red]failure[/]: " + "; ".join(report.judgement.causes))
+
+
+def _saved(planned: dict[str, float]) -> str:
+    """What the arms gain by moving at the same time, where that was planned."""
+    together, alone = planned.get("together", np.nan), planned.get("one at a time", np.nan)
+    if not np.isfinite(together) or not np.isfinite(alone):
+        return ""
+    return f"; planned {together:.1f} s, {1.0 - together / alone:.0%} less than {alone:.1f} s with one arm at a time"

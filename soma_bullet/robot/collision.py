@@ -72,7 +72,7 @@ class CollisionModel:
             points = coal.StdVec_Vec3s()
             for vertex in part.vertices:
                 points.append(vertex)
-            shape, place = coal.Convex.convexHull(points, True, ""), pin.SE3.Identity()
+            shape, place = coal.Convex.convexHull(points, True, "Qt"), pin.SE3.Identity()
         index = self.geometry.addGeometryObject(pin.GeometryObject(name, 0, place, shape))
         return int(index), place
 

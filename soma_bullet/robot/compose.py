@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,12 @@ _TINY_MASS, _TINY_INERTIA = 1e-3, 1e-6  # [kg], [kg m^2]
 
 
 def compose_urdf(
-    cell: Cell, stand_size_xy: tuple[float, float], path_out: Path, visuals: bool = True, fixtures: bool = True
+    cell: Cell,
+    stand_size_xy: tuple[float, float],
+    path_out: Path,
+    visuals: bool = True,
+    fixtures: bool = True,
+    arms: Sequence[Arm] | None = None,
 ) -> Path:
     """Writes the whole cell as one URDF: `world`, `table`, `stand`, then each arm and its hand under the arm's prefix.
 
@@ -25,6 +31,7 @@ def compose_urdf(
         stand_size_xy: the stand's footprint [m], from the assembly's.
         fixtures: table and stand; a simulator may want them as bodies of their own.
         visuals: without them the file loads faster and shows nothing but table and stand.
+        arms: these of the cell's arms; None for all. A simulator solves arms that are bodies of their own faster.
 
     Raises:
         InputError: with every mesh that is not found, and all places tried; or with names that collide.
@@ -41,7 +48,7 @@ def compose_urdf(
     if fixtures:
         _add_box(robot, "table", cell.table.size, (*cell.table.centre, -cell.table.size[2] / 2), cell.table.colour)
         _add_box(robot, "stand", stand_size, (*cell.stand_centre, cell.stand_height / 2), cell.stand_colour)
-    for arm in cell.arms:
+    for arm in cell.arms if arms is None else arms:
         part = _prepared(arm, faults)
         _append(robot, part, arm.name, "world", arm.prefixed(arm.model.base_link), arm.T_world_base)
         hand = parse_urdf(arm.hand.urdf)
@@ -49,7 +56,7 @@ def compose_urdf(
         _append(robot, hand, arm.name, arm.tool_link, arm.prefixed(arm.hand.mount_link), np.eye(4))
     names = [link.name for link in robot.links]
     faults += [f"link {name} would be there twice" for name in sorted(set(names)) if names.count(name) > 1]
-    unchecked = {link for pair in cell.never_checked for link in pair}
+    unchecked = {link for pair in cell.never_checked for link in pair} if arms is None else set()
     faults += [f"collision.never_checked: {link!r} is not a link of the cell"
                for link in sorted(unchecked - {*names, "table", "stand"})]  # fmt: skip
     if faults:

@@ -77,6 +77,28 @@ class Robot:
         pin.framesForwardKinematics(self.model, self.data, full)
         return np.array(self.data.oMf[self._tcp_frames[arm]].homogeneous)
 
+    def jacobian(self, arm: int, q: Array) -> Array:
+        """Twist of one arm's TCP for the rates of its joints (6, n) at q (n,): translation, then rotation, in world axes."""
+        full = np.zeros(self.model.nq)
+        full[self._arm_slots[arm]] = q
+        frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        columns = pin.computeFrameJacobian(self.model, self.data, full, self._tcp_frames[arm], frame)
+        return np.array(columns[:, self._arm_slots[arm]])
+
+    def tcp_mount(self, arm: int) -> tuple[int, pin.SE3]:
+        """pinocchio's joint that carries an arm's TCP, and the TCP's place on it."""
+        frame = self.model.frames[self._tcp_frames[arm]]
+        return int(frame.parentJoint), frame.placement
+
+    def radii(self, arm: int, beyond: float) -> Array:
+        """Bounds (6,) [m] on the distance from each joint's axis to any point of the arm up to `beyond` [m] past its TCP."""
+        pin.framesForwardKinematics(self.model, self.data, np.zeros(self.model.nq))
+        joints = [self.model.getJointId(name) for name in self.arm(arm).joint_names]
+        origins = [np.array(self.data.oMi[j].translation) for j in joints]
+        tcp = np.array(self.data.oMf[self._tcp_frames[arm]].translation)
+        lengths = np.linalg.norm(np.diff(np.array([*origins, tcp]), axis=0), axis=1)
+        return readonly(np.cumsum(lengths[::-1])[::-1] + beyond)
+
     def inverse(self, arm: int, T_world_tcp: Array, reference: Array) -> Array:
         """All joint vectors (k, 6) that reach a TCP pose (4, 4), nearest to `reference` (6,) first.
 

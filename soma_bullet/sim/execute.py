@@ -1,18 +1,21 @@
-"""Runs segments in the world, one at a time, and reports what a real cell would know.
+"""Runs segments in the world, those of different arms at the same time, and reports what a real cell would know.
 
-The simulator is told joint targets and hand commands, nothing else.
+The simulator is told joint targets and hand commands, nothing else. What a running segment wants of each time step is a
+generator: it commands, yields until the step is done, measures, and commands again.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Generator
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from soma_bullet.frames import Array, readonly, rotation_angle, to_quat_xyzw
+from soma_bullet.sim.guide import Compliance, Guide
 from soma_bullet.sim.log import ExecutionLog, Recorder, SegmentRecord
 from soma_bullet.sim.world import World
-from soma_bullet.task.program import CLOSING, DT, OPENING_TIME, Program, Segment
+from soma_bullet.task.segments import CLOSING, DT, OPENING_TIME, Program, Segment
 
 TARE = 0.1  # [s] at rest before a guarded segment
 TOUCH_FORCE, EASED_FORCE = 5.0, 0.5  # [N] of the first touch, and of the grip before the pads leave
@@ -20,9 +23,13 @@ RAMP = 0.15  # [s] between those and the full grip force
 EASED_SPEED, EASED_TIME = 0.01, 0.05  # [m/s], [s] of the first opening
 STALE = np.deg2rad(40.0)  # [rad] by which a hand may turn before the contacts of its pads are renewed
 FILTER = 4  # samples of the force that are averaged
-JAM = 2e-3  # [m] a guarded placing that stops farther from its end is jammed
+JAM = 1e-3  # [m] a guarded motion that stops farther from its end is jammed
 EMPTY = 2e-3  # [m] pads nearer to each other than a piece's width less this hold nothing
+WATCH = 5  # samples between looks at the width of a hand that carries
+SLOW = 0.25  # [s] over which a guided motion takes up its speed again
 FINAL_SETTLE = 2.0  # [s] after both hands have let go
+
+Steps = Generator[None, None, None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +42,7 @@ class Observation:
         openings: measured distances between the pads (arms,) [m].
         force: wrist's force against its start at the end (3,) [N].
         remaining: travel that was left [m].
+        reason: of a jam: `force`, `not found`, or empty.
     """
 
     outcome: str
@@ -42,138 +50,239 @@ class Observation:
     openings: Array
     force: Array
     remaining: float
+    reason: str = ""
+
+
+@dataclass
+class _Motion:
+    """What came of following a path."""
+
+    outcome: str = "as planned"
+    remaining: float = 0.0
+    peak: float = 0.0
+    force: Array = field(default_factory=lambda: np.zeros(3))
+    reason: str = ""
 
 
 class Executor:
-    """Feeds segments to a world and records everything."""
+    """Feeds segments to a world and records everything.
 
-    def __init__(self, world: World, program: Program):
-        self.world, self.program = world, program
+    Args:
+        compliance: how guarded motions yield; None for motions that stop at the first touch.
+    """
+
+    def __init__(self, world: World, program: Program, compliance: Compliance | None = None):
+        self.world, self.program, self.compliance = world, program, compliance
         self.recorder = Recorder()
-        self.bodies = [*world.link_ids, "world", *world.fixtures, *world.pieces]
-        links = [(world.robot, link) for link in world.link_ids.values()]
-        others = [(body, -1) for body in (world.robot, *world.fixtures.values(), *world.pieces.values())]
-        self._codes = {key: code for code, key in enumerate([*links, *others])}
+        names = world.part_names()
+        self.bodies = list(names.values())
+        self._codes = {part: code for code, part in enumerate(names)}
+        self._running: dict[int, tuple[Segment, Generator[None, None, Observation]]] = {}
+        self._ended: list[tuple[Segment, Observation]] = []
+        self._carried: dict[int, float] = {}  # arm -> width of what it holds [m]
+
+    # --- running ---------------------------------------------------------------------------------------------------------
+
+    @property
+    def busy(self) -> tuple[int, ...]:
+        """Arms that run a segment."""
+        return tuple(sorted(self._running))
+
+    def begin(self, segment: Segment) -> None:
+        """Start a segment of an arm that is free."""
+        steps = self._perform(segment)
+        try:
+            next(steps)
+        except StopIteration as stop:  # it takes no time at all
+            self._ended.append((segment, stop.value))
+            return
+        self._running[segment.arm] = (segment, steps)
+
+    def tick(self) -> list[tuple[Segment, Observation]]:
+        """One sample of everything that runs; what has ended with it."""
+        ended, self._ended = self._ended, []
+        if not self._running:
+            return ended
+        self._step()
+        for arm in self.busy:
+            segment, steps = self._running[arm]
+            try:
+                next(steps)
+            except StopIteration as stop:
+                del self._running[arm]
+                ended.append((segment, stop.value))
+        return ended
 
     def run(self, segment: Segment) -> Observation:
-        """Run one segment to its end or to its guard."""
-        world, start = self.world, self.world.time
+        """Run one segment alone, to its end or to its guard."""
+        self.begin(segment)
+        while True:
+            for _, seen in self.tick():
+                return seen
+
+    def _perform(self, segment: Segment) -> Generator[None, None, Observation]:
+        world, start, arm = self.world, self.world.time, segment.arm
         if segment.kind == "grasp":
-            self._grip(segment.arm)
+            yield from self._grip(arm)
         elif segment.kind == "release":
-            self._let_go(segment.arm, segment.opening)
+            self._carried.pop(arm, None)
+            yield from self._let_go(arm, segment.opening)
         elif not np.isnan(segment.opening):
-            world.open_hand(segment.arm, segment.opening)
-        outcome, remaining, peak, force = "as planned", 0.0, 0.0, np.zeros(3)
+            world.open_hand(arm, segment.opening)
+        motion = _Motion()
         if len(segment.path):
-            outcome, remaining, peak, force = self._follow(segment)
+            yield from self._follow(segment, motion)
         else:
-            self.wait(segment.duration - (world.time - start))
-        if segment.kind == "grasp" and world.openings()[segment.arm] < self._width(segment) - EMPTY:
-            outcome = "lost"
+            yield from self._rest(segment.duration - (world.time - start))
+        if segment.kind == "grasp":
+            if world.openings()[arm] < segment.width - EMPTY:
+                motion.outcome = "lost"
+            else:
+                self._carried[arm] = segment.width
+        self._note(segment, start, motion)
+        qs, openings = world.measured_joints(), world.openings()
+        return Observation(motion.outcome, qs, openings, readonly(motion.force), motion.remaining, motion.reason)
+
+    def _note(self, segment: Segment, start: float, motion: _Motion, kind: str = "") -> None:
+        arm = self.world.cell.arms[segment.arm].name
         self.recorder.segments.append(
             SegmentRecord(
-                segment.kind,
+                kind or segment.kind,
                 segment.step,
-                world.cell.arms[segment.arm].name,
+                arm,
                 segment.piece,
                 start,
-                world.time,
-                outcome,
+                self.world.time,
+                motion.outcome,
                 segment.offset,
-                peak,
-                remaining,
+                motion.peak,
+                motion.remaining,
             )  # fmt: skip
         )
-        return Observation(outcome, world.measured_joints(), world.openings(), readonly(force), remaining)
 
-    def _grip(self, arm: int) -> None:
+    # --- hands -------------------------------------------------------------------------------------------------------------
+
+    def _grip(self, arm: int) -> Steps:
         """Close gently, then squeeze harder and harder."""
         force = self.world.grip_force(arm)
         self.world.squeeze(arm, min(force, TOUCH_FORCE))
-        self.wait(CLOSING / 2)
-        self._ramp(arm, min(force, TOUCH_FORCE), force)
+        yield from self._rest(CLOSING / 2)
+        yield from self._ramp(arm, min(force, TOUCH_FORCE), force)
 
-    def _let_go(self, arm: int, opening: float) -> None:
+    def _let_go(self, arm: int, opening: float) -> Steps:
         """Ease the grip before the pads leave: a piece that is let go while squeezed hard gets a kick."""
-        self._ramp(arm, self.world.grip_force(arm), EASED_FORCE)
+        yield from self._ramp(arm, self.world.grip_force(arm), EASED_FORCE)
         self.world.open_hand(arm, opening, EASED_SPEED)
-        self.wait(EASED_TIME)
+        yield from self._rest(EASED_TIME)
         self.world.open_hand(arm, opening)
 
-    def _ramp(self, arm: int, start: float, end: float) -> None:
+    def _ramp(self, arm: int, start: float, end: float) -> Steps:
         steps = max(1, round(RAMP / DT))
         for k in range(1, steps + 1):
             self.world.squeeze(arm, start + (end - start) * k / steps)
-            self._step()
+            yield
 
-    def _width(self, segment: Segment) -> float:
-        return next(a.width for a in self.program.schedule.assignments if a.step == segment.step)
+    # --- motions -----------------------------------------------------------------------------------------------------------
 
-    def _follow(self, segment: Segment) -> tuple[str, float, float, Array]:
-        """Feed a path; stop where the wrist's force has changed by more than the guard."""
-        world, arm = self.world, segment.arm
-        if segment.guard:
-            tare = self._mean_force(arm, TARE)
+    def _follow(self, segment: Segment, motion: _Motion) -> Steps:
+        if segment.guard and self.compliance is not None and len(segment.compliance):
+            yield from self._guided(segment, motion, self.compliance)
+        elif segment.guard:
+            yield from self._guarded(segment, motion)
         else:
-            tare = world.wrench(arm)[:3]
-        recent: list[Array] = []
-        peak = 0.0
-        anchored = world.tcp_poses()[arm][:3, :3]
+            yield from self._free(segment, motion)
+
+    def _free(self, segment: Segment, motion: _Motion) -> Steps:
+        """Feed a path; a hand that carries watches that its pads stay apart."""
+        world, arm = self.world, segment.arm
+        anchored = world.tcp_pose(arm)[:3, :3]
         for k, q in enumerate(segment.path[1:], 1):
-            if segment.kind == "transfer":
-                turned = world.tcp_poses()[arm][:3, :3]
+            if segment.kind == "transfer" and (k % WATCH == 0 or k + 1 == len(segment.path)):
+                turned = world.tcp_pose(arm)[:3, :3]
                 if rotation_angle(anchored, turned) > STALE or k + 1 == len(segment.path):
                     world.renew_contacts(arm)
                     anchored = turned
             world.command_arm(arm, q)
-            self._step()
-            if not segment.guard and k % 5:
-                continue
-            recent = [*recent[1 - FILTER :], world.wrench(arm)[:3]]
+            yield
+            if k % WATCH == 0 and arm in self._carried and world.openings()[arm] < self._carried[arm] - EMPTY:
+                del self._carried[arm]
+                motion.outcome = "lost"
+                return
+
+    def _guarded(self, segment: Segment, motion: _Motion) -> Steps:
+        """Feed a path; stop where the wrist's force has changed by more than the guard."""
+        arm, length = segment.arm, float(np.linalg.norm(segment.offset))
+        tare = yield from self._mean_force(arm)
+        recent: list[Array] = []
+        for k, q in enumerate(segment.path[1:], 1):
+            self.world.command_arm(arm, q)
+            yield
+            recent = [*recent[1 - FILTER :], self.world.wrench(arm)[:3]]
             change = np.mean(recent, axis=0) - tare
             force = float(np.linalg.norm(change))
-            peak = max(peak, force) if segment.guard or segment.kind == "insert" else peak
-            if segment.guard and force > segment.guard and len(recent) == FILTER:
-                remaining = float(np.linalg.norm(segment.offset)) * self._fraction_left(segment, k)
-                return ("jammed" if remaining > JAM else "stopped early"), remaining, peak, change
-        return "as planned", 0.0, peak, np.zeros(3)
+            motion.peak = max(motion.peak, force)
+            if force > segment.guard and len(recent) == FILTER:
+                motion.remaining, motion.force = length * _fraction_left(segment.path, float(k)), change
+                motion.outcome = "jammed" if motion.remaining > JAM else "stopped early"
+                return
 
-    def _fraction_left(self, segment: Segment, k: int) -> float:
-        travelled = np.abs(segment.path[k] - segment.path[0]).sum()
-        return float(1.0 - travelled / max(np.abs(segment.path[-1] - segment.path[0]).sum(), 1e-12))
+    def _guided(self, segment: Segment, motion: _Motion, compliance: Compliance) -> Steps:
+        """Feed a path as far as the wrist's force allows, and aside as it asks; see Guide."""
+        world, arm = self.world, segment.arm
+        length = float(np.linalg.norm(segment.offset))
+        tare = yield from self._mean_force(arm)
+        guide = Guide(segment.offset / length, compliance)
+        recent: list[Array] = []
+        last, at, pace = len(segment.path) - 1, 0.0, 1.0
+        while at < last:
+            speed = 1.0
+            if len(recent) == FILTER:
+                sensed = np.mean(recent, axis=0) - tare
+                motion.peak = max(motion.peak, float(np.linalg.norm(sensed)))
+                motion.force = -world.tcp_pose(arm)[:3, :3] @ sensed  # the joint reports the reaction
+                resistance = -float(motion.force @ guide.direction)
+                motion.remaining = length * _fraction_left(segment.path, at)
+                if resistance > segment.guard and motion.remaining <= JAM:
+                    motion.outcome = "stopped early"
+                    return
+                speed = guide.update(motion.force, DT)
+                if guide.failed:
+                    motion.outcome, motion.reason = "jammed", guide.failed
+                    return
+            pace = min(speed, pace + DT / SLOW)
+            at = float(np.clip(at + pace, 0.0, last))
+            whole = min(int(at), last - 1)
+            q = segment.path[whole] + (at - whole) * (segment.path[whole + 1] - segment.path[whole])
+            world.command_arm(arm, q + segment.compliance[:, :3] @ guide.offset)
+            yield
+            recent = [*recent[1 - FILTER :], world.wrench(arm)[:3]]
+        motion.remaining = 0.0
 
-    def _mean_force(self, arm: int, duration: float) -> Array:
+    def _mean_force(self, arm: int) -> Generator[None, None, Array]:
         forces = []
-        for _ in range(round(duration / DT)):
-            self._step()
+        for _ in range(round(TARE / DT)):
+            yield
             forces.append(self.world.wrench(arm)[:3])
         return np.mean(forces, axis=0)
 
+    def _rest(self, duration: float) -> Steps:
+        for _ in range(round(duration / DT)):
+            yield
+
+    # --- not of the program ----------------------------------------------------------------------------------------------
+
     def wait(self, duration: float) -> None:
         """Hold everything where it is commanded for `duration` [s]."""
-        for _ in range(round(duration / DT)):
+        for _ in self._rest(duration):
             self._step()
 
     def let_go(self, segment: Segment, opening: float) -> None:
         """Open a hand where it is: what an ablation does to a hold."""
         start = self.world.time
-        self._let_go(segment.arm, opening)
+        for _ in self._let_go(segment.arm, opening):
+            self._step()
         self.wait(OPENING_TIME)
-        self.recorder.segments.append(
-            SegmentRecord(
-                "ablation",
-                segment.step,
-                self.world.cell.arms[segment.arm].name,
-                segment.piece,
-                start,
-                self.world.time,
-                "as planned",
-                readonly(np.zeros(3)),
-                0.0,
-                0.0,
-            )  # fmt: skip
-        )
+        self._note(segment, start, _Motion(), "ablation")
 
     def settle(self) -> None:
         """The final rest before judgement."""
@@ -194,7 +303,7 @@ class Executor:
     def _record(self) -> None:
         world = self.world
         grips = np.zeros(len(world.cell.arms))
-        finger = {(world.robot, link): arm for arm, links in enumerate(world.finger_links) for link in links}
+        finger = {part: arm for arm, parts in enumerate(world.finger_links) for part in parts}
         for a, b, force, distance in world.contacts():
             if force <= 0.0 and distance > 0.0:
                 continue  # Bullet lists what is merely near
@@ -206,8 +315,8 @@ class Executor:
             times=world.time,
             joints=world.all_joints(),
             targets=world.targets,
-            poses=[np.concatenate(to_quat_xyzw(pose)) for pose in world.piece_poses().values()],
-            tcps=[np.concatenate(to_quat_xyzw(pose)) for pose in world.tcp_poses()],
+            poses=np.hstack(to_quat_xyzw(list(world.piece_poses().values()))),
+            tcps=np.hstack(to_quat_xyzw(world.tcp_poses())),
             wrenches=[world.wrench(arm) for arm in range(len(world.cell.arms))],
             grips=grips,
         )
@@ -219,5 +328,13 @@ class Executor:
             cell=cell.name, assembly=program.assembly, digest=program.digest, seed=program.seed, order=program.order,
             stand=program.stand, T_world_assembly=program.T_world_assembly, joint_names=self.world.moving_joints,
             arm_names=tuple(arm.name for arm in cell.arms), piece_names=tuple(self.world.pieces), bodies=tuple(self.bodies),
-            segments=tuple(self.recorder.segments), constraints=self.world.constraints(), ended=ended, **self.recorder.arrays(),
+            segments=tuple(self.recorder.segments), events=tuple(self.recorder.events),
+            constraints=self.world.constraints(), ended=ended, **self.recorder.arrays(),
         )  # fmt: skip
+
+
+def _fraction_left(path: Array, at: float) -> float:
+    """Of the way along a path (n, 6), by the joints, from a sample that may lie between two."""
+    q = path[min(round(at), len(path) - 1)]
+    travelled = np.abs(q - path[0]).sum()
+    return float(1.0 - travelled / max(np.abs(path[-1] - path[0]).sum(), 1e-12))

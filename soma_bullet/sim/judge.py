@@ -10,7 +10,7 @@ from soma_bullet.assembly.contacts import SUPPORT
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, apply, inverse, rotation_angle
 from soma_bullet.robot.cell import Cell
-from soma_bullet.sim.log import ExecutionLog
+from soma_bullet.sim.log import ExecutionLog, SegmentRecord
 
 STAND, TABLE = "stand", "table"
 VELOCITY_EXCESS = 1.05  # of a joint's limit, measured by differences over a sample
@@ -166,13 +166,15 @@ def _piece(log: ExecutionLog, assembly: Assembly, k: int, tolerance: Tolerance) 
     return PieceVerdict(piece.name, error_mm, float(vertices.max()) * 1e3, error_deg, in_place)
 
 
-def _span(log: ExecutionLog, first: str, last: str, arm: str, piece: str) -> tuple[float, float] | None:
-    """From the start of one segment of an arm and a piece to the start of a later one."""
-    starts = [s.start for s in log.segments if (s.kind, s.arm, s.piece) == (first, arm, piece)]
-    ends = [s.start for s in log.segments if (s.kind, s.arm, s.piece) == (last, arm, piece)]
-    if not starts:
-        return None
-    return starts[0], (ends[-1] if ends else float(log.times[-1]))
+CARRYING = ("lift", "transfer", "lower", "insert", "place", "set_down")
+
+
+def _following(log: ExecutionLog, k: int) -> list[SegmentRecord]:
+    """What an arm did with a piece after a segment, in order, until it let go of it."""
+    record = log.segments[k]
+    same = sorted((s for s in log.segments[k + 1 :] if (s.arm, s.piece) == (record.arm, record.piece)), key=lambda s: s.start)
+    until = next((n for n, s in enumerate(same) if s.kind == "release"), len(same))
+    return same[: until + 1]
 
 
 def _motion(poses: list[Array]) -> tuple[float, float]:
@@ -186,13 +188,11 @@ def _motion(poses: list[Array]) -> tuple[float, float]:
 
 def _slips(log: ExecutionLog) -> list[GraspSlip]:
     slips = []
-    for record in log.segments:
-        if record.kind != "grasp":
+    for k, record in enumerate(log.segments):
+        carried = [s for s in _following(log, k) if s.kind in CARRYING] if record.kind == "grasp" else []
+        if not carried:
             continue
-        span = _span(log, "lift", "settle", record.arm, record.piece)
-        if span is None:
-            continue
-        samples = log.between(*span)
+        samples = log.between(carried[0].start, carried[-1].end)
         relative = [inverse(log.tcp_pose(int(i), record.arm)) @ log.piece_pose(int(i), record.piece) for i in samples]
         slips.append(GraspSlip(record.piece, record.arm, *_motion(relative)))
     return slips
@@ -200,17 +200,25 @@ def _slips(log: ExecutionLog) -> list[GraspSlip]:
 
 def _holds(log: ExecutionLog) -> list[HoldDrift]:
     holds = []
-    for record in log.segments:
-        if record.kind != "settle":
+    for k, record in enumerate(log.segments):
+        following = _following(log, k)
+        placed = record.kind == "settle" and _before(log, k) == "place"
+        taken = record.kind == "grasp" and not any(s.kind in CARRYING for s in following)
+        if not placed and not taken:
             continue
-        span = _span(log, "settle", "release", record.arm, record.piece)
-        if span is None or span[1] - record.end < 0.5:
+        end = next((s.start for s in following if s.kind == "release"), float(log.times[-1]))
+        if end - record.end < 0.5:
             continue  # let go at once: not a hold
-        samples = log.between(record.end, span[1])
+        samples = log.between(record.end, end)
         drift = _motion([log.piece_pose(int(i), record.piece) for i in samples])
         grip = float(log.grips[samples, log.arm_names.index(record.arm)].min()) if len(samples) else 0.0
-        holds.append(HoldDrift(record.piece, record.arm, span[1] - record.end, *drift, grip))
+        holds.append(HoldDrift(record.piece, record.arm, end - record.end, *drift, grip))
     return holds
+
+
+def _before(log: ExecutionLog, k: int) -> str:
+    """The kind of the arm's segment before."""
+    return next((s.kind for s in reversed(log.segments[:k]) if s.arm == log.segments[k].arm), "")
 
 
 def _forbidden(log: ExecutionLog, assembly: Assembly, cell: Cell) -> list[ForbiddenContact]:
@@ -242,12 +250,14 @@ def _forbidden(log: ExecutionLog, assembly: Assembly, cell: Cell) -> list[Forbid
 
 
 def _gripping_spans(log: ExecutionLog) -> dict[tuple[str, str], list[tuple[float, float]]]:
-    """When each hand may touch each piece: from the approach to the end of the retreat."""
+    """When each hand may touch each piece: from the approach until it has let go and left."""
     spans: dict[tuple[str, str], list[tuple[float, float]]] = {}
     opened: dict[tuple[str, str], float] = {}
-    for record in log.segments:
+    for record in sorted(log.segments, key=lambda s: s.start):
         key = (record.arm, record.piece)
         if record.kind == "approach":
+            if key in opened:  # it had lost the piece, and comes again
+                spans.setdefault(key, []).append((opened[key], record.start))
             opened[key] = record.start
         elif record.kind == "retreat" and key in opened:
             spans.setdefault(key, []).append((opened.pop(key), record.end))

@@ -36,6 +36,16 @@ class SegmentRecord:
     remaining: float
 
 
+@dataclass(frozen=True)
+class Event:
+    """Something that the executive noticed or decided: when [s], what kind, about which piece, in words."""
+
+    time: float
+    kind: str
+    piece: str
+    text: str
+
+
 @dataclass(frozen=True, eq=False)
 class ExecutionLog:
     """Record of one episode: m samples, n pieces, a arms.
@@ -53,7 +63,8 @@ class ExecutionLog:
         grips: force on the pads of each hand (m, a) [N].
         contacts: rows (sample, body, body, normal force [N], distance [m]) (k, 5), bodies as indices into `bodies`.
         bodies: names: links of the robot, `table`, `stand`, pieces.
-        segments: in the order of execution.
+        segments: in the order in which they ended.
+        events: what the executive noticed and decided on the way.
         constraints: every constraint that was in the world.
         ended: how the executive ended: `done`, or why it stopped.
     """
@@ -78,6 +89,7 @@ class ExecutionLog:
     contacts: Array
     bodies: tuple[str, ...]
     segments: tuple[SegmentRecord, ...]
+    events: tuple[Event, ...]
     constraints: tuple[str, ...]
     ended: str
 
@@ -105,6 +117,7 @@ class Recorder:
         }
         self.contacts: list[tuple[int, int, int, float, float]] = []
         self.segments: list[SegmentRecord] = []
+        self.events: list[Event] = []
 
     def __len__(self) -> int:
         return len(self.rows["times"])

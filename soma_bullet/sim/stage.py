@@ -21,7 +21,7 @@ from soma_bullet.robot.compose import compose_urdf
 from soma_bullet.sim.bodies import write_piece_urdf
 from soma_bullet.sim.quiet import pybullet as p
 from soma_bullet.sim.quiet import silenced
-from soma_bullet.task.program import DT
+from soma_bullet.task.segments import DT
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Physics:
         substeps: time steps for each sample of a trajectory.
         solver: `pgs` iterates, with a friction cone; `dantzig` solves contacts between pieces exactly, with a friction
             pyramid that holds up to 1.4 times too much along its diagonals. What the robot touches is iterated in either.
-        iterations: of the solver; with two arms and a gripped piece fewer do not converge.
+        iterations: of the solver; 25 hold a piece as firmly as it can be gripped, more let it creep less in motion.
         gravity: [m/s2].
         grip_force: [N]; None for the hand's own.
         friction: factor on every friction coefficient.
@@ -42,7 +42,7 @@ class Physics:
 
     substeps: int = 1
     solver: Literal["pgs", "dantzig"] = "pgs"
-    iterations: int = 300
+    iterations: int = 60
     gravity: float = 9.81
     grip_force: float | None = None
     friction: float = 1.0
@@ -56,6 +56,9 @@ class Physics:
 
 
 SOLVERS = {"dantzig": p.CONSTRAINT_SOLVER_LCP_DANTZIG, "pgs": p.CONSTRAINT_SOLVER_LCP_SI}
+Part = tuple[int, int]  # body and link; -1 is the body itself
+
+FRICTION_ERP = 0.8  # of what an anchored contact has slid, how much is undone in a step
 GEAR_ERP = 0.2
 GEAR_FORCE = 1e4  # [N]
 TABLE_FRICTION = 0.5
@@ -86,7 +89,7 @@ class Stage:
             p.setGravity(0, 0, -physics.gravity, physicsClientId=self.client)
             p.setPhysicsEngineParameter(
                 fixedTimeStep=physics.dt, numSolverIterations=physics.iterations, deterministicOverlappingPairs=1,
-                enableFileCaching=0, physicsClientId=self.client,
+                enableFileCaching=0, frictionERP=FRICTION_ERP, physicsClientId=self.client,
                 constraintSolverType=SOLVERS[physics.solver],
             )  # fmt: skip
             self._load_fixtures(stand)
@@ -103,33 +106,56 @@ class Stage:
     # --- loading, before the clock starts ---------------------------------------------------------------------------------
 
     def _load_robot(self, folder: Path, stand: tuple[float, float]) -> None:
-        urdf = compose_urdf(self.cell, stand, folder / "cell.urdf", visuals=False, fixtures=False)
-        flags = p.URDF_USE_INERTIA_FROM_FILE | p.URDF_USE_SELF_COLLISION
-        self.robot = p.loadURDF(str(urdf), useFixedBase=True, flags=flags, physicsClientId=self.client)
-        count = p.getNumJoints(self.robot, physicsClientId=self.client)
-        info = [p.getJointInfo(self.robot, k, physicsClientId=self.client) for k in range(count)]
-        self.joint_ids = {row[1].decode(): k for k, row in enumerate(info)}
-        self.link_ids = {row[12].decode(): k for k, row in enumerate(info)}
-        self.moving_joints = tuple(row[1].decode() for row in info if row[2] != p.JOINT_FIXED)
+        """Each arm is a body of its own: its rows of the solver are shorter, and what it holds is solved by itself.
+
+        Dantzig's solver loses its grip on pieces when there are two such bodies, so it gets both arms as one.
+        """
+        arms = self.cell.arms
+        self.robots: list[int] = []  # an arm's body
+        self.links: dict[str, Part] = {}
+        self.joints: dict[str, Part] = {}
+        self.moving_joints: tuple[str, ...] = ()
+        for k, group in enumerate([[arm] for arm in arms] if self.physics.solver == "pgs" else [arms]):
+            file = folder / f"arms{k}.urdf"
+            compose_urdf(self.cell, stand, file, visuals=False, fixtures=False, arms=group)
+            flags = p.URDF_USE_INERTIA_FROM_FILE | p.URDF_USE_SELF_COLLISION
+            body = p.loadURDF(str(file), useFixedBase=True, flags=flags, physicsClientId=self.client)
+            self.robots += [body] * len(group)
+            count = p.getNumJoints(body, physicsClientId=self.client)
+            info = [p.getJointInfo(body, joint, physicsClientId=self.client) for joint in range(count)]
+            self.joints |= {row[1].decode(): (body, row[0]) for row in info}
+            self.links |= {row[12].decode(): (body, row[0]) for row in info}
+            self.moving_joints += tuple(row[1].decode() for row in info if row[2] != p.JOINT_FIXED)
         for pair in self.cell.never_checked:
-            (body_a, link_a), (body_b, link_b) = (self._body_of(name) for name in pair)
+            (body_a, link_a), (body_b, link_b) = (self._part(name) for name in pair)
             p.setCollisionFilterPair(body_a, body_b, link_a, link_b, 0, physicsClientId=self.client)
-        self.arm_joints = [[self.joint_ids[name] for name in arm.joint_names] for arm in self.cell.arms]
-        self.finger_joints = [[self.joint_ids[name] for name in arm.finger_joints] for arm in self.cell.arms]
-        self.finger_links = [[self.link_ids[name] for name in arm.finger_links] for arm in self.cell.arms]
-        self.tcp_links = [self.link_ids[arm.tcp_link] for arm in self.cell.arms]
-        mounts = [self.link_ids[arm.prefixed(arm.hand.mount_link)] for arm in self.cell.arms]
-        self.wrists = mounts  # a link's index is that of the joint above it
-        for wrist in mounts:
-            p.enableJointForceTorqueSensor(self.robot, wrist, 1, physicsClientId=self.client)
+        self.moving: dict[int, list[int]] = {body: [] for body in self.robots}  # body -> its `moving_joints`
+        for body, joint in map(self.joints.__getitem__, self.moving_joints):
+            self.moving[body].append(joint)
+        self.arm_joints = [[self.joints[name][1] for name in arm.joint_names] for arm in self.cell.arms]
+        self.finger_joints = [[self.joints[name][1] for name in arm.finger_joints] for arm in self.cell.arms]
+        self.finger_links = [[self.links[name] for name in arm.finger_links] for arm in self.cell.arms]
+        self.finger_masses = [
+            [p.getDynamicsInfo(*part, physicsClientId=self.client)[0] for part in parts] for parts in self.finger_links
+        ]
+        self.tcp_links = [self.links[arm.tcp_link][1] for arm in self.cell.arms]
+        # a link's index is that of the joint above it
+        self.wrists = [self.links[arm.prefixed(arm.hand.mount_link)][1] for arm in self.cell.arms]
+        for body, wrist in zip(self.robots, self.wrists, strict=True):
+            p.enableJointForceTorqueSensor(body, wrist, 1, physicsClientId=self.client)
         scale = np.sqrt(self.physics.friction)
         for arm, links in zip(self.cell.arms, self.finger_links, strict=True):
-            for link in links:
-                self._rub(self.robot, link, np.sqrt(arm.hand.pad_friction) * scale, anchor=True)
+            for body, link in links:
+                self._rub(body, link, np.sqrt(arm.hand.pad_friction) * scale, anchor=True)
 
-    def _body_of(self, name: str) -> tuple[int, int]:
-        """Body and link that a name of the cell stands for."""
-        return (self.fixtures[name], -1) if name in self.fixtures else (self.robot, self.link_ids[name])
+    def _part(self, name: str) -> Part:
+        """What a name of the cell stands for."""
+        return (self.fixtures[name], -1) if name in self.fixtures else self.links[name]
+
+    def part_names(self) -> dict[Part, str]:
+        """Every body and link that can touch another, with its name: links of the arms, fixtures, pieces."""
+        bodies = {(body, -1): name for name, body in {**self.fixtures, **self.pieces}.items()}
+        return {part: name for name, part in self.links.items()} | bodies
 
     def _load_fixtures(self, stand: tuple[float, float]) -> None:
         """Table and stand as bodies of their own: contacts with them then do not couple pieces that lie apart."""
@@ -173,31 +199,27 @@ class Stage:
             self.T_inertial_piece[piece.name] = inverse(T_piece_inertial)
 
     def _couple_fingers(self) -> None:
-        for first, second in self.finger_joints:
+        for body, (first, second) in zip(self.robots, self.finger_joints, strict=True):
             gear = p.createConstraint(
-                self.robot, first, self.robot, second, jointType=p.JOINT_GEAR, jointAxis=[1, 0, 0],
+                body, first, body, second, jointType=p.JOINT_GEAR, jointAxis=[1, 0, 0],
                 parentFramePosition=[0, 0, 0], childFramePosition=[0, 0, 0], physicsClientId=self.client,
             )  # fmt: skip
             p.changeConstraint(gear, gearRatio=-1, erp=GEAR_ERP, maxForce=GEAR_FORCE, physicsClientId=self.client)
 
     def _place_robot(self, home: Array) -> None:
-        for joints, q in zip(self.arm_joints, home, strict=True):
+        for body, joints, q in zip(self.robots, self.arm_joints, home, strict=True):
             for joint, angle in zip(joints, q, strict=True):
-                p.resetJointState(self.robot, joint, float(angle), physicsClientId=self.client)
+                p.resetJointState(body, joint, float(angle), physicsClientId=self.client)
 
     def constraints(self) -> tuple[str, ...]:
         """Every constraint that is in the world now."""
-        names = {index: name for name, index in self.joint_ids.items()}
+        names = {joint: name for name, joint in self.joints.items()}
         kinds = {p.JOINT_GEAR: "gear", p.JOINT_FIXED: "fixed", p.JOINT_POINT2POINT: "point", p.JOINT_PRISMATIC: "prismatic"}
         found = []
         for k in range(p.getNumConstraints(physicsClientId=self.client)):
             unique = p.getConstraintUniqueId(k, physicsClientId=self.client)
             row = p.getConstraintInfo(unique, physicsClientId=self.client)
             body_a, joint_a, body_b, joint_b, kind = row[:5]
-            ours = body_a == body_b == self.robot
-            found.append(
-                f"{kinds.get(kind, kind)}: {names.get(joint_a, joint_a)} - {names.get(joint_b, joint_b)}"
-                if ours
-                else f"{kinds.get(kind, kind)}: body {body_a} - body {body_b}"
-            )
+            ends = [names.get(end, f"body {end[0]}") for end in ((body_a, joint_a), (body_b, joint_b))]
+            found.append(f"{kinds.get(kind, kind)}: {ends[0]} - {ends[1]}")
         return tuple(found)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array
-from soma_bullet.frames import from_quat_xyzw as transform_of
 from soma_bullet.robot.cell import Cell
 from soma_bullet.sim.quiet import pybullet as p
 from soma_bullet.sim.stage import Physics, Stage
 
+Place = tuple[Sequence[float], Sequence[float]]  # position [m], quaternion (x, y, z, w)
 CLOSING_SPEED, OPENING_SPEED = 0.05, 0.1  # [m/s]
+SETTLED = 8  # iterations of the solver in which a finger's motor reaches its limit
 
 
 class World(Stage):
@@ -30,7 +32,9 @@ class World(Stage):
     ):
         super().__init__(cell, assembly, stand, poses, home, physics)
         self.steps = 0
-        for arm in range(len(cell.arms)):
+        self._squeezing = [False] * len(cell.arms)
+        for arm, q in enumerate(home):
+            self.command_arm(arm, q)
             self.open_hand(arm, 0.0)
 
     # --- commands ----------------------------------------------------------------------------------------------------------
@@ -38,24 +42,39 @@ class World(Stage):
     def command_arm(self, arm: int, q: Array) -> None:
         """Joint targets (6,) of one arm for the next step."""
         self.targets[arm] = q
+        joints = self.arm_joints[arm]
+        p.setJointMotorControlArray(
+            self.robots[arm], joints, p.POSITION_CONTROL, targetPositions=[float(angle) for angle in q],
+            targetVelocities=[0.0] * len(joints), forces=self.cell.arms[arm].effort.tolist(),
+            positionGains=[1.0] * len(joints), velocityGains=[1.0] * len(joints), physicsClientId=self.client,
+        )  # fmt: skip
 
     def grip_force(self, arm: int) -> float:
         """With which a hand grips [N]."""
         return self.physics.grip_force if self.physics.grip_force is not None else self.cell.arms[arm].hand.grip_force
 
     def squeeze(self, arm: int, force: float) -> None:
-        """Close with a force [N] and keep squeezing."""
-        for joint in self.finger_joints[arm]:
+        """Close with a force [N] and keep squeezing; told so again, squeeze with another force.
+
+        The solver adds to a motor's impulse what its speed is worth, in each iteration, until the limit is reached: a hand
+        that has closed is told the speed with which SETTLED iterations do. No more: a contact that Bullet forms anew may be
+        gone for one step, in which the finger gets up to that speed.
+        """
+        for joint, mass in zip(self.finger_joints[arm], self.finger_masses[arm], strict=True):
+            firm = force * self.physics.dt / mass / SETTLED
+            speed = max(CLOSING_SPEED, firm) if self._squeezing[arm] else CLOSING_SPEED
             p.setJointMotorControl2(
-                self.robot, joint, p.VELOCITY_CONTROL, targetVelocity=-CLOSING_SPEED, force=force, physicsClientId=self.client
+                self.robots[arm], joint, p.VELOCITY_CONTROL, targetVelocity=-speed, force=force, physicsClientId=self.client
             )
+        self._squeezing[arm] = True
 
     def open_hand(self, arm: int, opening: float, speed: float = OPENING_SPEED) -> None:
         """Move the pads to a distance of `opening` [m], each at up to `speed` [m/s]."""
         limit = self.cell.arms[arm].hand.force_range[1]
+        self._squeezing[arm] = False
         for joint in self.finger_joints[arm]:
             p.setJointMotorControl2(
-                self.robot, joint, p.POSITION_CONTROL, targetPosition=opening / 2, maxVelocity=speed, force=limit,
+                self.robots[arm], joint, p.POSITION_CONTROL, targetPosition=opening / 2, maxVelocity=speed, force=limit,
                 physicsClientId=self.client,
             )  # fmt: skip
 
@@ -66,18 +85,11 @@ class World(Stage):
         stale, up to pointing backwards, and drags the piece along when the hand opens. Renewing the links' place in the broad
         phase drops it; nothing else changes.
         """
-        for link in self.finger_links[arm]:
-            p.setCollisionFilterGroupMask(self.robot, link, 1, -1, physicsClientId=self.client)
+        for body, link in self.finger_links[arm]:
+            p.setCollisionFilterGroupMask(body, link, 1, -1, physicsClientId=self.client)
 
     def step(self) -> None:
         """One time step with the current commands."""
-        for arm, joints in zip(self.cell.arms, self.arm_joints, strict=True):
-            k = self.cell.arms.index(arm)
-            p.setJointMotorControlArray(
-                self.robot, joints, p.POSITION_CONTROL, targetPositions=self.targets[k].tolist(),
-                targetVelocities=[0.0] * len(joints), forces=arm.effort.tolist(),
-                positionGains=[1.0] * len(joints), velocityGains=[1.0] * len(joints), physicsClientId=self.client,
-            )  # fmt: skip
         p.stepSimulation(physicsClientId=self.client)
         self.steps += 1
 
@@ -90,37 +102,48 @@ class World(Stage):
 
     def measured_joints(self) -> Array:
         """Joints (arms, 6) [rad]."""
-        states = [p.getJointStates(self.robot, joints, physicsClientId=self.client) for joints in self.arm_joints]
-        return np.array([[state[0] for state in arm] for arm in states])
+        return np.array([self._positions(*joints) for joints in zip(self.robots, self.arm_joints, strict=True)])
 
     def openings(self) -> Array:
         """Distances between the pads (arms,) [m]."""
-        states = [p.getJointStates(self.robot, joints, physicsClientId=self.client) for joints in self.finger_joints]
-        return np.array([sum(state[0] for state in hand) for hand in states])
+        return np.array([sum(self._positions(*joints)) for joints in zip(self.robots, self.finger_joints, strict=True)])
+
+    def _positions(self, body: int, joints: list[int]) -> list[float]:
+        states = p.getJointStates(body, joints, physicsClientId=self.client)
+        return [state[0] for state in states]
 
     def wrench(self, arm: int) -> Array:
         """Force and torque (6,) at the wrist, in the hand's mount frame [N, N m]."""
-        return np.array(p.getJointState(self.robot, self.wrists[arm], physicsClientId=self.client)[2])
+        return np.array(p.getJointState(self.robots[arm], self.wrists[arm], physicsClientId=self.client)[2])
 
     # --- what only the log may know ------------------------------------------------------------------------------------------
 
     def piece_poses(self) -> dict[str, Array]:
         """T_world_piece (4, 4) of every piece."""
-        poses = {}
-        for name, body in self.pieces.items():
-            position, quat_xyzw = p.getBasePositionAndOrientation(body, physicsClientId=self.client)
-            poses[name] = transform_of(position, quat_xyzw) @ self.T_inertial_piece[name]
-        return poses
+        bodies = self.pieces.values()
+        places = [p.getBasePositionAndOrientation(body, physicsClientId=self.client) for body in bodies]
+        found = _transforms(places) @ np.array([self.T_inertial_piece[name] for name in self.pieces])
+        return dict(zip(self.pieces, found, strict=True))
 
     def tcp_poses(self) -> list[Array]:
         """T_world_tcp (4, 4) of every arm."""
-        states = p.getLinkStates(self.robot, self.tcp_links, computeForwardKinematics=1, physicsClientId=self.client)
-        return [transform_of(state[4], state[5]) for state in states]
+        return list(_transforms([self._tcp_place(arm) for arm in range(len(self.robots))]))
+
+    def tcp_pose(self, arm: int) -> Array:
+        """T_world_tcp (4, 4) of one arm."""
+        return _transforms([self._tcp_place(arm)])[0]
+
+    def _tcp_place(self, arm: int) -> Place:
+        body, link = self.robots[arm], self.tcp_links[arm]
+        state = p.getLinkState(body, link, computeForwardKinematics=1, physicsClientId=self.client)
+        return state[4], state[5]
 
     def all_joints(self) -> Array:
         """Positions of `moving_joints`."""
-        ids = [self.joint_ids[name] for name in self.moving_joints]
-        return np.array([state[0] for state in p.getJointStates(self.robot, ids, physicsClientId=self.client)])
+        found: list[float] = []
+        for body, joints in self.moving.items():
+            found += self._positions(body, joints)
+        return np.array(found)
 
     def contacts(self) -> list[tuple[tuple[int, int], tuple[int, int], float, float]]:
         """Touching links as ((body, link), (body, link), normal force [N], distance [m]); the forces of a pair are added."""
@@ -130,3 +153,12 @@ class World(Stage):
             force, distance = found.get(key, (0.0, np.inf))  # type: ignore[arg-type]
             found[key] = (force + row[9], min(distance, row[8]))  # type: ignore[index]
         return [(a, b, force, distance) for (a, b), (force, distance) in found.items()]
+
+
+def _transforms(places: Sequence[Place]) -> Array:
+    """T (n, 4, 4) of n positions and orientations."""
+    found = np.tile(np.eye(4), (len(places), 1, 1))
+    if places:
+        found[:, :3, :3] = Rotation.from_quat([quat_xyzw for _, quat_xyzw in places]).as_matrix()
+        found[:, :3, 3] = [position for position, _ in places]
+    return found

@@ -1,4 +1,4 @@
-"""Where the pieces lie before they are picked: a resting pose each, anywhere in the feed areas, at any yaw."""
+"""Where the pieces lie before they are picked: each in a steady resting pose, anywhere in the feed areas, at any yaw."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import shapely
 
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.assembly.resting import resting_poses
+from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import Array, apply, make_transform, readonly, rotation_about
 from soma_bullet.grasp.clearance import SUPPORT_MARGIN, sweep_hand
@@ -19,7 +20,9 @@ from soma_bullet.robot.cell import Cell
 from soma_bullet.task.grasps import grasp_poses
 
 GAP = 0.010  # [m] between the footprints of two pieces
+SIGMAS = 3.0  # of the noise of perception that a hand makes room for
 DRAWS = 10_000
+STEADY_TILT, STEADY_MARGIN = np.deg2rad(10.0), 2e-3  # [rad], [m] a resting pose that less upsets would tip at a touch
 
 
 @dataclass(frozen=True)
@@ -29,11 +32,14 @@ class FeedOptions:
     Attributes:
         layout: `random` draws places and yaws; `rows` lays the pieces out evenly, without yaw.
         noise_mm, noise_deg: one sigma of what the perceived poses are off by, in x, y [mm] and yaw [deg].
+        poses: `all` draws each piece's resting pose among the steady ones; `preferred` takes the one with the most grasps that
+            also serve at the goal, as `rows` always does.
     """
 
     layout: Literal["random", "rows"] = "random"
     noise_mm: float = 0.0
     noise_deg: float = 0.0
+    poses: Literal["all", "preferred"] = "all"
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,15 +50,17 @@ class Feed:
         names: of the pieces.
         poses: T_world_piece (n, 4, 4).
         overlaps: draws rejected because two pieces would overlap.
-        graspless: draws rejected because a piece has no grasp that serves both at the feed and at the goal.
+        regrasps_needed: pieces that lie so that no grasp serves both there and at the goal.
         seed: of the draw.
+        noise: one sigma of what the poses may be off by: in x and y [mm], in yaw [deg].
     """
 
     names: tuple[str, ...]
     poses: Array
     overlaps: int
-    graspless: int
+    regrasps_needed: int
     seed: int
+    noise: tuple[float, float] = (0.0, 0.0)
 
     def pose(self, name: str) -> Array:
         """T_world_piece (4, 4) of one piece."""
@@ -61,8 +69,11 @@ class Feed:
     @property
     def rejected(self) -> float:
         """Fraction of the draws that were rejected."""
-        draws = len(self.names) + self.overlaps + self.graspless
-        return (self.overlaps + self.graspless) / draws
+        return self.overlaps / (len(self.names) + self.overlaps)
+
+    def off(self, piece: Workpiece) -> float:
+        """How far any point of a piece may be from where it seems to be, along the table [m]: SIGMAS times the noise."""
+        return SIGMAS * (self.noise[0] * 1e-3 + np.deg2rad(self.noise[1]) * piece.radius)
 
 
 def serving_grasps(assembly: Assembly, plan: AssemblyPlan, hand: Hand, name: str, T_plane_piece: Array) -> Array:
@@ -78,38 +89,64 @@ def serving_grasps(assembly: Assembly, plan: AssemblyPlan, hand: Hand, name: str
     return candidates[sweep.above(0.0) > SUPPORT_MARGIN]
 
 
+def steady_poses(piece: Workpiece) -> Array:
+    """T_plane_piece (k, 4, 4) of the resting poses that no touch upsets, most stable first.
+
+    The centre of mass lies at least STEADY_MARGIN inside what the piece stands on, and a tilt of STEADY_TILT about any edge of
+    it falls back. Narrow facets of a round side, on which a piece rolls, are out by either. Where none is steady, the most
+    stable one counts.
+    """
+    poses = resting_poses(piece)
+    steady = []
+    for pose in poses:
+        vertices = apply(pose, piece.vertices)
+        low = vertices[:, 2].min()
+        base = shapely.multipoints(vertices[vertices[:, 2] < low + 1e-6][:, :2]).convex_hull
+        com = apply(pose, piece.center_of_mass)
+        margin = base.exterior.distance(shapely.Point(com[:2])) if base.geom_type == "Polygon" else 0.0
+        steady.append(margin > STEADY_MARGIN and np.arctan2(margin, com[2] - low) > STEADY_TILT)
+    return poses[steady] if any(steady) else poses[:1]
+
+
 def preferred_resting_pose(assembly: Assembly, plan: AssemblyPlan, hand: Hand, name: str) -> Array:
-    """T_plane_piece (4, 4) of the resting pose with the most common grasps.
+    """T_plane_piece (4, 4) of the steady resting pose with the most grasps that also serve at the goal.
 
     Raises:
-        NoSolutionError: no resting pose has one.
+        NoSolutionError: the piece has no resting pose.
     """
-    poses = resting_poses(assembly.pieces[assembly.index(name)])
-    counts = [len(serving_grasps(assembly, plan, hand, name, pose)) for pose in poses]
-    if not len(poses) or max(counts) == 0:
-        raise NoSolutionError(
-            "schedule", f"{name}: none of its {len(poses)} resting poses has a grasp that also serves at the goal"
-        )
-    return poses[int(np.argmax(counts))]
+    poses = _resting(assembly, name)
+    return poses[int(np.argmax([len(serving_grasps(assembly, plan, hand, name, pose)) for pose in poses]))]
+
+
+def _resting(assembly: Assembly, name: str) -> Array:
+    poses = steady_poses(assembly.pieces[assembly.index(name)])
+    if not len(poses):
+        raise NoSolutionError("schedule", f"{name} has no resting pose on a table")
+    return poses
 
 
 def draw_feed(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int, options: FeedOptions | None = None) -> Feed:
-    """The preferred resting pose of each piece, at uniform places over the whole feed areas and uniform yaw, or in rows.
+    """A steady resting pose of each piece, at uniform places over the whole feed areas and uniform yaw, or in rows.
 
     Raises:
-        NoSolutionError: the pieces do not fit, or one has no common grasp.
+        NoSolutionError: the pieces do not fit, or one has no resting pose.
     """
     options = options or FeedOptions()
     hand = cell.arms[0].hand
     if options.layout == "rows":
-        return _rows(assembly, plan, cell, seed)
+        return _rows(assembly, plan, cell, seed, options)
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0xFEED,)))
     areas = cell.feed_areas
     sizes = np.prod(areas[:, :, 1] - areas[:, :, 0], axis=1)
     outlines: list[shapely.Geometry] = []
-    poses, overlaps = [], 0
+    poses, overlaps, needed = [], 0, 0
     for name in assembly.names:
-        rest = preferred_resting_pose(assembly, plan, hand, name)
+        if options.poses == "preferred":
+            rest = preferred_resting_pose(assembly, plan, hand, name)
+        else:
+            resting = _resting(assembly, name)
+            rest = resting[rng.integers(len(resting))]
+        needed += not len(serving_grasps(assembly, plan, hand, name, rest))
         piece = assembly.pieces[assembly.index(name)]
         while True:
             area = areas[rng.choice(len(areas), p=sizes / sizes.sum())]
@@ -123,10 +160,10 @@ def draw_feed(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int, opt
                 raise NoSolutionError("schedule", f"{name} does not fit into the feed areas beside the other pieces")
         outlines.append(outline)
         poses.append(pose)
-    return Feed(assembly.names, readonly(np.array(poses)), overlaps, 0, seed)
+    return Feed(assembly.names, readonly(np.array(poses)), overlaps, needed, seed, (options.noise_mm, options.noise_deg))
 
 
-def _rows(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int) -> Feed:
+def _rows(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int, options: FeedOptions) -> Feed:
     """The pieces in the order of the plan, spread evenly over the feed areas in turn."""
     hand, areas = cell.arms[0].hand, cell.feed_areas
     poses = {}
@@ -135,7 +172,9 @@ def _rows(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int) -> Feed
         column, columns = k // len(areas), -(-len(plan.order) // len(areas))
         place = (area[0, 0] + (column + 0.5) / columns * (area[0, 1] - area[0, 0]), area[1].mean(), 0.0)
         poses[name] = make_transform(translation=place) @ preferred_resting_pose(assembly, plan, hand, name)
-    return Feed(assembly.names, readonly(np.array([poses[name] for name in assembly.names])), 0, 0, seed)
+    placed = readonly(np.array([poses[name] for name in assembly.names]))
+    needed = sum(not len(serving_grasps(assembly, plan, hand, *item)) for item in zip(assembly.names, placed, strict=True))
+    return Feed(assembly.names, placed, 0, needed, seed, (options.noise_mm, options.noise_deg))
 
 
 def misplace(assembly: Assembly, feed: Feed, options: FeedOptions, seed: int) -> Feed:

@@ -1,350 +1,372 @@
 """The program: a schedule turned into segments, each a timed trajectory or a hand command, with guards.
 
-Segments run one after another. `replan` makes a segment anew from measured joints, when the cell is not where the program
-expected it.
+`replan` makes a segment anew from measured joints, when the cell is not where the program expected it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
-from typing import Literal
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import islice, zip_longest
 
 import numpy as np
 
 from soma_bullet.errors import NoSolutionError
-from soma_bullet.frames import Array, inverse, readonly
+from soma_bullet.frames import Array, apply, readonly
 from soma_bullet.grasp.clearance import OPENING
-from soma_bullet.motion.line import LineError, sample_line
-from soma_bullet.motion.timing import HandLimits, TimingError, time_path
-from soma_bullet.motion.transfer import TransferError, TransferOptions, blend_corners, plan_transfer
+from soma_bullet.motion.line import LineError
+from soma_bullet.motion.timing import TimingError
+from soma_bullet.motion.transfer import TransferError
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.robot.collision import Scene
+from soma_bullet.task.assignments import Assignment, Pick, PutDown, Regrasp, Release, Schedule, Square, Start, Take
 from soma_bullet.task.feed import Feed
-from soma_bullet.task.grasps import grasp_poses
-from soma_bullet.task.schedule import APPROACH, LIFT, Assignment, Schedule, Scheduler
-from soma_bullet.task.workcell import TABLE, Hands, Workcell
+from soma_bullet.task.motions import plan_motion, straight_motion, widths_between
+from soma_bullet.task.schedule import Scheduler
+from soma_bullet.task.segments import (
+    CLOSING,
+    GUARD,
+    GUARDED,
+    OPENING_TIME,
+    PLACE,
+    SETTLE,
+    SMALLEST_JUMP,
+    SPEEDS,
+    Context,
+    Kind,
+    Program,
+    Segment,
+    beginning,
+    contexts,
+    entering,
+    leaving,
+    one_at_a_time,
+)
+from soma_bullet.task.tracing import APPROACH, LIFT
+from soma_bullet.task.workcell import Workcell
 
-Kind = Literal["transit", "approach", "grasp", "lift", "transfer", "insert", "place", "settle", "release", "retreat", "home"]
-
-DT = 1 / 480  # [s] between samples of a trajectory: the simulator's step
-CHECK_EVERY = 0.010  # [s] between collision checks on the timed trajectory
-PLACE = 0.010  # [m] of the insertion that is slow and guarded
-GUARD = 1.0  # [N] change of the wrist's force that ends a placing
-SETTLE = 0.2  # [s] after a placing
-CLOSING, OPENING_TIME = 0.5, 0.4  # [s] for the hand to grip, and to let go
-SPEEDS = {
-    "approach": HandLimits(0.15, 0.5),
-    "lift": HandLimits(0.10, 0.3),
-    "insert": HandLimits(0.10, 0.3),
-    "place": HandLimits(0.010, 0.03),
-    "retreat": HandLimits(0.15, 0.3),
-}  # [m/s], [m/s2]
-FINGER_STEP = 0.004  # [m] of one finger; none is thinner
-MOTIONS = ("transit", "approach", "lift", "transfer", "insert", "place", "retreat", "home")
-EDGE_STEPS = (0.02, 0.004, 0.004, 0.004, 0.004)  # [rad] between checked states of an edge, one for each attempt
-CARRYING = 0.6  # of the joint limits while a hand carries a piece
-SMALLEST_JUMP = 1e-4  # [rad] a segment that starts farther from the measured joints is made anew
-
-
-@dataclass(frozen=True, eq=False)
-class Segment:
-    """One thing that one arm does while the other stands still.
-
-    Attributes:
-        kind: what it is; `transit`, `transfer`, `home` go around obstacles; `grasp`, `settle`, `release` are waits.
-        step: of the plan; arm: index; piece: what it is about.
-        path: joints every DT (n, 6) [rad]; empty for waits.
-        offset: straight travel of the hand (3,) [m] for lines, else zero.
-        opening: distance between the pads [m] that the hand goes to, or NaN to leave it as it is.
-        duration: [s] of waits.
-        guard: change of the wrist's force [N] that ends the segment, 0 for none.
-    """
-
-    kind: Kind
-    step: int
-    arm: int
-    piece: str
-    path: Array
-    offset: Array
-    opening: float
-    duration: float
-    guard: float
-
-    @property
-    def seconds(self) -> float:
-        """Planned duration [s]."""
-        return max(self.duration, (len(self.path) - 1) * DT if len(self.path) else 0.0)
-
-
-@dataclass(frozen=True, eq=False)
-class Program:
-    """What the cell executes.
-
-    Attributes:
-        cell, assembly, digest: names and content hash of the input.
-        seed: of everything random.
-        order: of the plan.
-        feed: where the pieces are at the start.
-        schedule: who does what.
-        segments: in the order of execution.
-        T_world_assembly: (4, 4).
-        stand: footprint of the stand [m].
-    """
-
-    cell: str
-    assembly: str
-    digest: str
-    seed: int
-    order: tuple[str, ...]
-    feed: Feed
-    schedule: Schedule
-    segments: tuple[Segment, ...]
-    T_world_assembly: Array
-    stand: tuple[float, float]
-
-    @property
-    def makespan(self) -> float:
-        """Planned duration [s]."""
-        return sum(segment.seconds for segment in self.segments)
+Who = tuple[int, str]  # an arm, and the piece that it is about
+Made = tuple[Context, Segment, Context]  # a segment with the contexts before and after it
+NONE = readonly(np.zeros(3))
+NO_PATH = readonly(np.zeros((0, 6)))
+UP = readonly((0.0, 0.0, 1.0))
 
 
 class MotionError(Exception):
-    """A motion of one assignment cannot be made."""
+    """A motion of one assignment cannot be made; of none where it comes before all of them."""
 
-    def __init__(self, assignment: Assignment, reason: str):
+    def __init__(self, assignment: Assignment | None, reason: str, regrasp: Regrasp | None = None):
         super().__init__(reason)
-        self.assignment, self.reason = assignment, reason
+        self.assignment, self.reason, self.regrasp = assignment, reason, regrasp
 
 
 def make_program(
-    workcell: Workcell, plan: AssemblyPlan, feed: Feed, seed: int, progress: Callable[[str], None] | None = None
+    workcell: Workcell,
+    plan: AssemblyPlan,
+    feed: Feed,
+    seed: int,
+    progress: Callable[[str], None] | None = None,
+    start: Start | None = None,
 ) -> Program:
-    """Schedule and trajectories of a plan.
+    """Schedule and trajectories of a plan, from the beginning or from a state as found.
 
-    A motion that cannot be found rules out exactly its step, arm and grasp, and the search of the schedule goes on.
+    A motion that cannot be found rules out exactly its step, arm and grasp, or this way to regrasp, and the search of the
+    schedule goes on.
 
     Raises:
         NoSolutionError: with what blocked, most frequent first.
     """
-    scheduler = Scheduler(workcell, plan, feed)
+    scheduler = Scheduler(workcell, plan, feed, start)
     while True:
         schedule = scheduler.find()
         try:
-            segments = tuple(ProgramBuilder(workcell, plan, feed, schedule, seed).segments())
+            made = tuple(ProgramBuilder(workcell, feed, schedule, seed, start, plan.order).run())
         except MotionError as error:
-            a = error.assignment
-            scheduler.excluded.add((a.step, a.arm, a.grasp))
+            if error.assignment is None:
+                raise NoSolutionError("motion", error.reason, scheduler.rejections) from None
+            scheduler.rule_out(error.assignment, error.regrasp)
             scheduler.rejections[error.reason] += 1
             if progress is not None:
                 progress(error.reason)
             continue
         return Program(
-            workcell.cell.name, workcell.assembly.name, workcell.assembly.digest, seed, plan.order, feed, schedule, segments,
-            workcell.T_world_assembly, workcell.robot.stand_size,
+            workcell.cell.name, workcell.assembly.name, workcell.assembly.digest, seed, plan.order, feed, schedule,
+            tuple(segment for _, segment, _ in made), one_at_a_time(len(made)),
+            workcell.T_world_assembly, workcell.robot.stand_size, start,
         )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class _Context:
-    """Where pieces and hands are when a segment starts."""
+def recover_program(
+    workcell: Workcell, plan: AssemblyPlan, start: Start, seed: int, noise: tuple[float, float] = (0.0, 0.0)
+) -> Program:
+    """The rest of a plan from a state as found: arms and pieces wherever they are, perhaps one of them in a hand.
 
-    poses: dict[str, Array]
-    hands: Hands
-    carried: tuple[str, Array] | None = None
-    touching: frozenset[frozenset[str]] = frozenset()
+    Args:
+        noise: of the poses as found, as in `Feed`.
+
+    Raises:
+        NoSolutionError: with what blocked, most frequent first.
+    """
+    names = workcell.assembly.names
+    found = Feed(names, readonly(np.array([start.poses[name] for name in names])), 0, 0, seed, noise)
+    return make_program(workcell, plan, found, seed, start=start)
 
 
 class ProgramBuilder:
     """Makes the segments of one schedule; raises MotionError at the first motion that cannot be made."""
 
-    def __init__(self, workcell: Workcell, plan: AssemblyPlan, feed: Feed, schedule: Schedule, seed: int):
-        self.workcell, self.plan, self.feed, self.schedule, self.seed = workcell, plan, feed, schedule, seed
-        self.count = 0
-
-    def segments(self) -> Iterator[Segment]:
-        poses = {name: self.feed.pose(name) for name in self.feed.names}
-        hands = self.workcell.idle()
-        for k, assignment in enumerate(self.schedule.assignments):
-            following = self.schedule.assignments[k + 1] if k + 1 < len(self.schedule.assignments) else None
-            for segment, context in self._step(assignment, following, poses, hands):
-                poses, hands = context.poses, context.hands
-                yield segment
-
-    def _step(
-        self, a: Assignment, following: Assignment | None, poses: dict[str, Array], hands: Hands
-    ) -> Iterator[tuple[Segment, _Context]]:
-        """Segments of one assignment, each with the context after it."""
-        cell, arm, piece = self.workcell, a.arm, a.piece
-        up, tool = np.array([0.0, 0.0, 1.0]), cell.robot.tcp(arm, a.q_pick)[:3, 2]
-        opened = a.width + 2 * OPENING
-        grasp = grasp_poses(self.plan, piece)[0][a.grasp]
-        carried = (piece, inverse(grasp))
-        meant = frozenset(p for p in cell.touching if piece in p)
-
-        def moved(q: Array, width: float, gripping: bool = True) -> Hands:
-            return hands.with_arm(arm, q, width).gripping(arm, piece if gripping else None)
-
-        before = _Context(poses, hands)
-        yield self._transit(a, "transit", before, a.q_before, opened), _Context(poses, moved(a.q_before, opened, False))
-        at = _Context(poses, moved(a.q_before, opened))
-        yield self._line(a, "approach", at, a.q_before, tool * APPROACH), _Context(poses, moved(a.q_pick, opened))
-        yield self._wait(a, "grasp", arm, piece, CLOSING, 0.0), _Context(poses, moved(a.q_pick, a.width))
-        lifting = _Context(poses, moved(a.q_pick, a.width), carried, frozenset({frozenset({piece, TABLE})}))
-        yield self._line(a, "lift", lifting, a.q_pick, up * LIFT), _Context(poses, moved(a.q_lifted, a.width))
-        carrying = _Context(poses, moved(a.q_lifted, a.width), carried, meant)
-        yield self._transit(a, "transfer", carrying, a.q_ready, a.width), _Context(poses, moved(a.q_ready, a.width))
-        first = self._line(
-            a, "insert", _Context(poses, moved(a.q_ready, a.width), carried, meant), a.q_ready, a.direction * (a.length - PLACE)
-        )
-        q_near = first.path[-1]
-        yield first, _Context(poses, moved(q_near, a.width))
-        placed = {**poses, piece: cell.settled[piece]}
-        yield (
-            self._line(a, "place", _Context(poses, moved(q_near, a.width), carried, meant), q_near, a.direction * PLACE),
-            _Context(placed, moved(a.q_goal, a.width)),
-        )
-        hands = moved(a.q_goal, a.width)
-        yield self._wait(a, "settle", arm, piece, SETTLE, np.nan), _Context(placed, hands)
-        for release in a.releases:
-            opening = hands.openings[release.arm] + 2 * OPENING
-            hands = hands.with_arm(release.arm, hands.qs[release.arm], opening)
-            yield self._wait(a, "release", release.arm, release.piece, OPENING_TIME, opening), _Context(placed, hands)
-            away = -cell.robot.tcp(release.arm, hands.qs[release.arm])[:3, 2]
-            retreat = self._line(
-                a, "retreat", _Context(placed, hands), hands.qs[release.arm], away * APPROACH, release.arm, release.piece
-            )
-            hands = hands.with_arm(release.arm, retreat.path[-1]).gripping(release.arm, None)
-            yield retreat, _Context(placed, hands)
-        for release in a.releases:
-            if following is None or following.arm != release.arm:
-                home = cell.robot.home[release.arm]
-                segment = self._transit(a, "home", _Context(placed, hands), home, 0.0, release.arm, release.piece)
-                hands = hands.with_arm(release.arm, home, 0.0)
-                yield segment, _Context(placed, hands)
-
-    def _scene(self, context: _Context, arm: int) -> Scene:
-        return self.workcell.scene(context.poses, context.hands, arm, context.carried, context.touching)
-
-    def _transit(
+    def __init__(
         self,
-        a: Assignment,
-        kind: Kind,
-        context: _Context,
-        goal: Array,
-        opening: float,
-        arm: int | None = None,
-        piece: str | None = None,
-    ) -> Segment:
-        """A motion around obstacles; the hand opens or closes on the way, and every width between must be free all along."""
-        arm, piece = a.arm if arm is None else arm, a.piece if piece is None else piece
-        self.count += 1
-        widths = widths_between(float(context.hands.openings[arm]), opening)
+        workcell: Workcell,
+        feed: Feed,
+        schedule: Schedule,
+        seed: int,
+        start: Start | None = None,
+        order: Sequence[str] = (),
+    ):
+        self.workcell, self.schedule, self.seed, self.start = workcell, schedule, seed, start
+        self.count = 0
+        self.context = self.beginning = beginning(workcell, feed, start, order)
+
+    def run(self) -> Iterator[Made]:
+        """Every segment with the contexts before and after it, in an order in which they can run one at a time."""
+        self.count, self.context = 0, self.beginning
+        if self.start is not None:
+            yield from self._get_ready(self.start)
+        for a, following in zip_longest(self.schedule.assignments, self.schedule.assignments[1:]):
+            for n, regrasp in enumerate(a.regrasps):
+                try:
+                    yield from self._regrasp(a, regrasp, _arm_after(a, n))
+                except MotionError as error:
+                    raise MotionError(a, error.reason, regrasp) from None
+            if not a.in_hand:
+                yield from self._fetch(a, Pick(a.piece, a.arm, a.grasp, a.width, a.opened, a.q_before, a.q_pick, a.q_lifted))
+            yield from self._insert(a)
+            yield from self._let_go(a, following)
+
+    def _get_ready(self, start: Start) -> Iterator[Made]:
+        """Holds change as they must, idle arms go home, one that carries a piece gets clear of what the piece touches."""
+        idle = [arm for arm in range(len(self.workcell.robot.home)) if arm not in self.context.hands.gripped]
+        for arm in idle:
+            yield from self._clear_away(arm)
+        yield from self._change_holds(None, self.schedule.takes, self.schedule.releases)
+        for release in self.schedule.releases:
+            yield from self._clear_away(release.arm)
+        if start.carrying is not None and self._touched(start.carrying.arm) is not None:
+            yield self._back_out(start.carrying.arm, start.carrying.piece)
+
+    def _clear_away(self, arm: int) -> Iterator[Made]:
+        """An arm that has nothing goes home; from a piece it first goes straight back, opening the hand if that is needed."""
+        home, hands = self.workcell.robot.home[arm], self.context.hands
+        if arm in hands.gripped or np.abs(hands.qs[arm] - home).max() < SMALLEST_JUMP:
+            return
+        T = self.workcell.robot.tcp(arm, hands.qs[arm])
+        who = (arm, min(self.context.poses, key=lambda n: float(np.linalg.norm(self._centre(n) - T[:3, 3]))))
+        if self._touched(arm) is None:
+            try:
+                yield self._around(None, "home", home, 0.0, who)
+                return
+            except MotionError:  # the hand closes on the way, and there may be a piece between its fingers
+                pass
         try:
-            path = plan_motion(
-                self.workcell,
-                self._scene(context, arm),
-                context.hands,
-                arm,
-                context.hands.qs[arm],
-                goal,
-                widths,
-                self.seed + 1000 * self.count,
-            )
+            yield self._line(None, "retreat", -T[:3, 2] * APPROACH, who)
+        except MotionError:
+            yield from self._leave(None, who)
+        yield self._around(None, "home", home, 0.0, who)
+
+    def _centre(self, piece: str) -> Array:
+        assembly = self.workcell.assembly
+        return apply(self.context.poses[piece], assembly.pieces[assembly.index(piece)].center_of_mass)
+
+    def _touched(self, arm: int) -> str | None:
+        """A piece that the hand of an arm, or the piece in it, is too near to; the name of anything else if there is none."""
+        hands = self.context.hands
+        scene = scene_of(self.workcell, self.context, arm)
+        pairs = scene.colliding(self.workcell.configuration(hands, arm, hands.qs[arm]))
+        names = [name for pair in pairs for name in pair[:2] if name in self.context.poses]
+        return next((name for name in names if name != hands.gripped.get(arm)), names[0] if names else None)
+
+    def _back_out(self, arm: int, piece: str) -> Made:
+        """A carried piece that touches something goes back the way it came, or up; what it touches meanwhile is left out."""
+        reason = ""
+        back = [-a.direction * a.length for a in self.schedule.assignments[:1] if a.piece == piece]
+        for offset in (*back, UP * LIFT):
+            try:
+                return self._line(None, "lift", offset, (arm, piece), loose=True)
+            except MotionError as error:
+                reason = error.reason
+        raise MotionError(None, reason)
+
+    def _fetch(self, a: Assignment, pick: Pick) -> Iterator[Made]:
+        """From wherever the arm is to the piece in the air."""
+        yield from self._take(a, (pick.arm, pick.piece), pick.q_before, pick.q_pick, pick.width, pick.opened)
+        yield self._line(a, "lift", UP * LIFT, (pick.arm, pick.piece))
+
+    def _take(
+        self, a: Assignment | None, who: Who, q_before: Array, q_grasp: Array, width: float, opened: float | None = None
+    ) -> Iterator[Made]:
+        """From wherever the arm is to the hand closed on a piece, wherever that is."""
+        yield self._around(a, "transit", q_before, width + 2 * OPENING if opened is None else opened, who)
+        yield self._line(a, "approach", self._tool(who[0], q_grasp) * APPROACH, who)
+        yield self._wait(a, "grasp", CLOSING, 0.0, who, width)
+
+    def _leave(self, a: Assignment | None, who: Who) -> Iterator[Made]:
+        """A hand opens and goes straight back."""
+        hands = self.context.hands
+        widest = self.workcell.robot.arm(who[0]).hand.opening
+        yield self._wait(a, "release", OPENING_TIME, min(float(hands.openings[who[0]]) + 2 * OPENING, widest), who)
+        yield self._line(a, "retreat", -self._tool(who[0], hands.qs[who[0]]) * APPROACH, who)
+
+    def _tool(self, arm: int, q: Array) -> Array:
+        return self.workcell.robot.tcp(arm, q)[:3, 2]
+
+    def _regrasp(self, a: Assignment, regrasp: Regrasp, following: int) -> Iterator[Made]:
+        """What comes before the last pick; an arm that is not the one to act next goes home."""
+        who = (regrasp.arm, regrasp.piece)
+        if isinstance(regrasp, Square):
+            yield from self._take(a, who, regrasp.q_before, regrasp.q_grasp, regrasp.width, regrasp.opened)
+            yield from self._leave(a, who)
+            return
+        if regrasp.pick is not None:
+            yield from self._fetch(a, regrasp.pick)
+        if isinstance(regrasp, PutDown):
+            yield self._around(a, "transfer", regrasp.q_over, who=who)
+            yield self._line(a, "lower", -UP * (LIFT - PLACE), who)
+            yield self._line(a, "set_down", -UP * PLACE, who)
+            yield self._wait(a, "settle", SETTLE, np.nan, who)
+            yield from self._leave(a, who)
+            if regrasp.arm == following:
+                return
+        else:
+            yield self._around(a, "transfer", regrasp.q_meet, who=who)
+            yield from self._take(a, (regrasp.receiver, regrasp.piece), regrasp.q_before, regrasp.q_take, regrasp.width)
+            yield from self._leave(a, who)
+        yield self._around(a, "home", self.workcell.robot.home[regrasp.arm], 0.0, who)
+
+    def _insert(self, a: Assignment) -> Iterator[Made]:
+        """From the piece in the air to the piece in place, still in the hand."""
+        yield self._around(a, "transfer", a.q_ready)
+        yield self._line(a, "insert", a.direction * (a.length - a.guarded))
+        yield self._line(a, "place", a.direction * a.guarded)
+        yield self._wait(a, "settle", SETTLE, np.nan)
+
+    def _let_go(self, a: Assignment, following: Assignment | None) -> Iterator[Made]:
+        """The releases and takes of a step; an arm that is not needed next goes home."""
+        yield from self._change_holds(a, a.takes, a.releases)
+        for release in a.releases:
+            busy = release.arm in self.context.hands.gripped
+            if not busy and (following is None or first_arm(following) != release.arm):
+                yield self._around(a, "home", self.workcell.robot.home[release.arm], 0.0, (release.arm, release.piece))
+
+    def _change_holds(self, a: Assignment | None, takes: Sequence[Take], releases: Sequence[Release]) -> Iterator[Made]:
+        for n in range(len(releases) + 1):
+            for take in takes:
+                if take.after == n:
+                    yield from self._take(a, (take.arm, take.piece), take.q_before, take.q_hold, take.width)
+            if n < len(releases):
+                yield from self._leave(a, (releases[n].arm, releases[n].piece))
+
+    # --- one segment ---------------------------------------------------------------------------------------------------
+
+    def _about(self, a: Assignment | None, who: Who | None) -> tuple[int, int, str]:
+        """Step, arm and piece of a segment."""
+        if a is not None:
+            return a.step, *(who or (a.arm, a.piece))
+        assert who is not None and self.start is not None
+        return self.start.step - 1, *who
+
+    def _add(self, before: Context, segment: Segment) -> Made:
+        self.context = leaving(self.workcell, before, segment)
+        return before, segment, self.context
+
+    def _around(self, a: Assignment | None, kind: Kind, goal: Array, opening: float = np.nan, who: Who | None = None) -> Made:
+        """A motion around obstacles; the hand opens or closes on the way, and every width between must be free all along."""
+        step, arm, piece = self._about(a, who)
+        self.count += 1
+        context = entering(self.workcell, self.context, kind, arm, piece)
+        now = float(context.hands.openings[arm])
+        widths = widths_between(now, now if np.isnan(opening) else opening)
+        scene, start = scene_of(self.workcell, context, arm), context.hands.qs[arm]
+        try:
+            path = plan_motion(self.workcell, scene, context.hands, arm, start, goal, widths, self.seed + 1000 * self.count)
         except TransferError as error:
             raise MotionError(a, f"{piece}: {kind}: {self._blame(error, context, arm, float(widths.max()))}") from None
         except TimingError as error:
             raise MotionError(a, f"{piece}: {kind}: {error}") from None
-        opening = np.nan if kind == "transfer" else opening  # keep squeezing
-        return Segment(kind, a.step, arm, piece, readonly(path), readonly(np.zeros(3)), opening, 0.0, 0.0)
+        return self._add(context, Segment(kind, step, arm, piece, readonly(path), NONE, opening, 0.0, 0.0))
 
-    def _blame(self, error: TransferError, context: _Context, arm: int, width: float) -> str:
+    def _blame(self, error: TransferError, context: Context, arm: int, width: float) -> str:
         if error.q is None:
             return "no path within the budget"
         configuration = self.workcell.configuration(context.hands, arm, error.q, width)
-        pair = self._scene(context, arm).first_collision(configuration)
+        pair = scene_of(self.workcell, context, arm).first_collision(configuration)
         return f"{error.cause} in collision" + (f": {pair[0]} meets {pair[1]}" if pair else "")
 
-    def _line(
-        self,
-        a: Assignment,
-        kind: Kind,
-        context: _Context,
-        q_start: Array,
-        offset: Array,
-        arm: int | None = None,
-        piece: str | None = None,
-    ) -> Segment:
-        arm, piece = a.arm if arm is None else arm, a.piece if piece is None else piece
+    def _line(self, a: Assignment | None, kind: Kind, offset: Array, who: Who | None = None, loose: bool = False) -> Made:
+        step, arm, piece = self._about(a, who)
+        context = entering(self.workcell, self.context, kind, arm, piece)
+        seen = replace(context, carried={}, poses={n: T for n, T in context.poses.items() if n != piece}) if loose else context
+        scene, start = scene_of(self.workcell, seen, arm), context.hands.qs[arm]
         try:
-            path = line_motion(self.workcell, self._scene(context, arm), context.hands, arm, q_start, offset, SPEEDS[kind])
+            path = straight_motion(self.workcell, scene, context.hands, arm, start, offset, kind)
         except (LineError, TimingError) as error:
             raise MotionError(a, f"{piece}: {kind}: {error}") from None
-        guard = GUARD if kind == "place" else 0.0
-        return Segment(kind, a.step, arm, piece, readonly(path), readonly(offset), np.nan, 0.0, guard)
+        segment = Segment(kind, step, arm, piece, readonly(path), readonly(offset), np.nan, 0.0, 0.0)
+        return self._add(context, _guarded(self.workcell, segment))
 
-    def _wait(self, a: Assignment, kind: Kind, arm: int, piece: str, duration: float, opening: float) -> Segment:
-        return Segment(kind, a.step, arm, piece, readonly(np.zeros((0, 6))), readonly(np.zeros(3)), opening, duration, 0.0)
-
-
-def widths_between(first: float, last: float) -> Array:
-    """Widths [m] of a hand that opens or closes, so close that what fits between two of them is thinner than a finger."""
-    return np.linspace(first, last, 1 + int(np.ceil(abs(last - first) / 2 / FINGER_STEP)))
-
-
-def plan_motion(
-    workcell: Workcell, scene: Scene, hands: Hands, arm: int, start: Array, goal: Array, widths: Array, seed: int
-) -> Array:
-    """Timed joints (n, 6) around obstacles, free at every one of the hand's widths [m]. Raises TransferError, TimingError."""
-    limits = workcell.robot.arm(arm)
-    gentle = CARRYING if scene.situation.carried else 1.0
-    collides = lambda q: any(scene.collides(workcell.configuration(hands, arm, q, width)) for width in widths)  # noqa: E731
-    for attempt, step in enumerate(EDGE_STEPS):
-        options = TransferOptions(seed=seed + 7919 * attempt, step=step)
-        waypoints = plan_transfer(start, np.array([goal]), limits.lower, limits.upper, collides, options)
-        dense = blend_corners(waypoints, collides)
-        samples = time_path(dense, gentle * limits.velocity, gentle * limits.acceleration, DT)
-        try:
-            _check(samples, collides)
-        except TimingError:
-            if attempt + 1 == len(EDGE_STEPS):
-                raise
-            continue  # it grazes something between two checked states: look more closely, and elsewhere
-        break
-    return samples
+    def _wait(
+        self,
+        a: Assignment | None,
+        kind: Kind,
+        duration: float,
+        opening: float,
+        who: Who | None = None,
+        width: float = np.nan,
+    ) -> Made:
+        step, arm, piece = self._about(a, who)
+        context = entering(self.workcell, self.context, kind, arm, piece)
+        return self._add(context, Segment(kind, step, arm, piece, NO_PATH, NONE, opening, duration, 0.0, width))
 
 
-def line_motion(
-    workcell: Workcell, scene: Scene, hands: Hands, arm: int, start: Array, offset: Array, limits: HandLimits
-) -> Array:
-    """Timed joints (n, 6) along a straight line of the hand. Raises LineError, TimingError."""
-    path, travel = sample_line(workcell.robot, arm, start, offset)
-    joints = workcell.robot.arm(arm)
-    samples = time_path(path, joints.velocity, joints.acceleration, DT, travel, limits)
-    _check(samples, lambda q: scene.collides(workcell.configuration(hands, arm, q)))
-    return samples
+def _arm_after(a: Assignment, n: int) -> int:
+    """The arm that acts after one of the regrasps of a step."""
+    if n + 1 == len(a.regrasps):
+        return a.arm
+    following = a.regrasps[n + 1]
+    pick = following if isinstance(following, Square) else following.pick
+    return pick.arm if pick is not None else a.arm
 
 
-def _check(samples: Array, collides: Callable[[Array], bool]) -> None:
-    stride = max(1, int(CHECK_EVERY / DT))
-    for q in [*samples[::stride], samples[-1]]:
-        if collides(q):
-            raise TimingError("the timed trajectory collides")
+def first_arm(a: Assignment) -> int:
+    """The arm that acts first in a step."""
+    return a.regrasps[0].arm if a.regrasps else a.arm
 
 
-def replan(workcell: Workcell, plan: AssemblyPlan, program: Program, index: int, qs: Array) -> Segment:
+def _guarded(workcell: Workcell, segment: Segment) -> Segment:
+    """A line with its guard and its compliance, where it has them."""
+    if segment.kind not in GUARDED:
+        return segment
+    compliance = np.linalg.pinv(workcell.robot.jacobian(segment.arm, segment.path[-1]))
+    return replace(segment, guard=GUARD, compliance=readonly(compliance))
+
+
+def scene_of(workcell: Workcell, context: Context, arm: int) -> Scene:
+    """The scene in which one arm moves in a context, and nothing else does."""
+    return workcell.scene(context.poses, context.hands, arm, context.carried.get(arm), context.touching)
+
+
+def replan(workcell: Workcell, program: Program, index: int, qs: Array) -> Segment:
     """One motion segment of the program made anew from measured joints qs (arms, 6): a line as a line, else to the same end.
 
     Raises:
         NoSolutionError: it cannot be made from there.
     """
-    segment = program.segments[index]
-    context = _context_before(workcell, plan, program, index, qs)
-    scene = workcell.scene(context.poses, context.hands, segment.arm, context.carried, context.touching)
-    start = qs[segment.arm]
+    context, segment, _ = next(islice(contexts(workcell, program), index, None))
+    context = replace(context, hands=replace(context.hands, qs=np.array(qs)))
+    scene, start = scene_of(workcell, context, segment.arm), qs[segment.arm]
     try:
         if segment.kind in SPEEDS:
-            path = line_motion(workcell, scene, context.hands, segment.arm, start, segment.offset, SPEEDS[segment.kind])
+            path = straight_motion(workcell, scene, context.hands, segment.arm, start, segment.offset, segment.kind)
         else:
             now = float(context.hands.openings[segment.arm])
             widths = widths_between(now, now if np.isnan(segment.opening) else segment.opening)
@@ -353,33 +375,4 @@ def replan(workcell: Workcell, plan: AssemblyPlan, program: Program, index: int,
     except (LineError, TransferError, TimingError) as error:
         reason = f"{segment.piece}: {segment.kind} cannot be made from the measured joints: {error}"
         raise NoSolutionError("motion", reason) from None
-    return replace(segment, path=readonly(path))
-
-
-def _context_before(workcell: Workcell, plan: AssemblyPlan, program: Program, index: int, qs: Array) -> _Context:
-    """Where the program expects pieces and hands before a segment, with the arms where they were measured."""
-    poses = {name: program.feed.pose(name) for name in program.feed.names}
-    hands = workcell.idle()
-    carried: dict[int, tuple[str, Array]] = {}
-    for segment in program.segments[:index]:
-        arm, piece = segment.arm, segment.piece
-        if segment.kind == "approach":
-            hands = hands.gripping(arm, piece)
-        elif segment.kind == "grasp":
-            assignment = next(a for a in program.schedule.assignments if a.step == segment.step)
-            hands = hands.with_arm(arm, hands.qs[arm], assignment.width)
-            carried[arm] = (piece, inverse(grasp_poses(plan, piece)[0][assignment.grasp]))
-        elif segment.kind == "settle":
-            poses = {**poses, piece: workcell.settled[piece]}
-            carried.pop(arm, None)
-        elif segment.kind == "retreat":
-            hands = hands.gripping(arm, None)
-        if not np.isnan(segment.opening) and segment.kind != "grasp":
-            hands = hands.with_arm(arm, hands.qs[arm], segment.opening)
-    segment = program.segments[index]
-    if segment.kind == "approach":
-        hands = hands.gripping(segment.arm, segment.piece)
-    touching = frozenset(p for p in workcell.touching if segment.piece in p)
-    if segment.kind == "lift":
-        touching = frozenset({frozenset({segment.piece, TABLE})})
-    return _Context(poses, replace(hands, qs=np.array(qs)), carried.get(segment.arm), touching)
+    return _guarded(workcell, replace(segment, path=readonly(path)))

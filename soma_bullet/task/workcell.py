@@ -11,7 +11,7 @@ import numpy as np
 from soma_bullet.assembly.contacts import SUPPORT
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError
-from soma_bullet.frames import Array, make_transform, readonly
+from soma_bullet.frames import Array, make_transform, readonly, rotation_angle
 from soma_bullet.robot.cell import Cell
 from soma_bullet.robot.collision import CollisionModel, Scene, Situation
 from soma_bullet.robot.kinematics import Robot
@@ -19,6 +19,7 @@ from soma_bullet.robot.kinematics import Robot
 SMALLEST_STAND = 0.03  # [m]
 STAND_RIM = 0.005  # [m] of stand around the footprint
 STAND, TABLE = "stand", "table"
+OFF, TURNED = 2e-3, np.deg2rad(2.0)  # [m], [rad] a piece in place that is off by less counts as where it should be
 
 
 def footprint(assembly: Assembly) -> tuple[Array, Array]:
@@ -48,12 +49,12 @@ class Hands:
     Attributes:
         qs: joints (arms, 6) [rad].
         openings: distances between the pads (arms,) [m].
-        gripped: piece -> arm of pieces between fingers.
+        gripped: arm -> piece between its fingers.
     """
 
     qs: Array
     openings: Array
-    gripped: Mapping[str, int] = field(default_factory=dict)
+    gripped: Mapping[int, str] = field(default_factory=dict)
 
     def with_arm(self, arm: int, q: Array, opening: float | None = None) -> Hands:
         """The same with one arm elsewhere."""
@@ -65,12 +66,12 @@ class Hands:
 
     def gripping(self, arm: int, piece: str | None) -> Hands:
         """The same with one hand on a piece, or on none."""
-        kept = {name: hand for name, hand in self.gripped.items() if hand != arm}
-        return replace(self, gripped={**kept, piece: arm} if piece is not None else kept)
+        kept = {hand: name for hand, name in self.gripped.items() if hand != arm}
+        return replace(self, gripped={**kept, arm: piece} if piece is not None else kept)
 
-    def piece_of(self, arm: int) -> str | None:
-        """What an arm's hand grips."""
-        return next((piece for piece, hand in self.gripped.items() if hand == arm), None)
+    def holder(self, piece: str) -> int | None:
+        """The arm whose hand has a piece between its fingers."""
+        return next((arm for arm, name in self.gripped.items() if name == piece), None)
 
 
 class Workcell:
@@ -102,6 +103,12 @@ class Workcell:
             lowered[name] = pose
         return lowered
 
+    def stands(self, piece: str, pose: Array) -> Array:
+        """T_world_piece (4, 4) of a piece in place for what comes after it: where it should be, unless it was found far off."""
+        settled = self.settled[piece]
+        off = float(np.linalg.norm(pose[:3, 3] - settled[:3, 3]))
+        return settled if off < OFF and rotation_angle(pose[:3, :3], settled[:3, :3]) < TURNED else pose
+
     @cached_property
     def touching(self) -> frozenset[frozenset[str]]:
         """Pairs of bodies that touch in the finished assembly, also along an edge or at a corner."""
@@ -125,7 +132,8 @@ class Workcell:
         still = {name: pose for name, pose in poses.items() if carried is None or name != carried[0]}
         held = {} if carried is None else {carried[0]: (arm, carried[1])}
         absent = frozenset(k for k in range(len(self.cell.arms)) if alone and k != arm)
-        return self.collision.scene(Situation(still, frozenset({arm}), held, hands.gripped, touching, absent))
+        gripped = {name: k for k, name in sorted(hands.gripped.items(), key=lambda item: item[0] == arm)}  # the mover's counts
+        return self.collision.scene(Situation(still, frozenset({arm}), held, gripped, touching, absent))
 
     def configuration(self, hands: Hands, arm: int, q: Array, opening: float | None = None) -> Array:
         """pinocchio's vector with one arm at q."""

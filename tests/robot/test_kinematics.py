@@ -118,3 +118,16 @@ def test_nearest_turn(data: st.DataObject) -> None:
         best = min(abs(v - reference[k]) for v in others if lower[k] <= v <= upper[k])
         assert abs(turned[k] - reference[k]) == pytest.approx(best, abs=1e-9)
     assert nearest_turn(np.full(6, 3.0), np.zeros(6), np.full(6, -1.0), np.full(6, 1.0)) is None
+
+
+@pytest.mark.parametrize("arm", [0, 1])
+def test_the_jacobian_is_the_rate_of_the_tcp(robot: Robot, arm: int) -> None:
+    """Against central differences: translation of the TCP's origin, rotation in world axes."""
+    h = 1e-6
+    for q in configurations(robot, arm, 20, 30 + arm):
+        jacobian = robot.jacobian(arm, q)
+        for joint, step in enumerate(h * np.eye(len(q))):
+            after, before = robot.tcp(arm, q + step), robot.tcp(arm, q - step)
+            turn = (after[:3, :3] - before[:3, :3]) / (2 * h) @ robot.tcp(arm, q)[:3, :3].T
+            rate = np.concatenate([(after[:3, 3] - before[:3, 3]) / (2 * h), (turn[2, 1], turn[0, 2], turn[1, 0])])
+            np.testing.assert_allclose(jacobian[:, joint], rate, atol=1e-7)

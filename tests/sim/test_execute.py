@@ -18,7 +18,7 @@ from soma_bullet.robot.kinematics import Robot
 from soma_bullet.sim.execute import FINAL_SETTLE, Executor
 from soma_bullet.sim.stage import Physics
 from soma_bullet.sim.world import World
-from soma_bullet.task.program import CLOSING, DT, GUARD, Kind, Segment
+from soma_bullet.task.segments import CLOSING, DT, GUARD, Kind, Segment
 from tests.blocks import SIDE, assembly, box
 
 STAND = (0.03, 0.03)
@@ -63,7 +63,7 @@ def reach(robot: Robot, cell: Cell, place: Array) -> Array:
 
 
 def wait(kind: Kind, duration: float, opening: float = np.nan) -> Segment:
-    return Segment(kind, 0, 0, "block", readonly(np.zeros((0, 6))), NONE, opening, duration, 0.0)
+    return Segment(kind, 0, 0, "block", readonly(np.zeros((0, 6))), NONE, opening, duration, 0.0, SIDE)
 
 
 def line(robot: Robot, cell: Cell, q: Array, offset: Array, kind: Kind, guard: float = 0.0, speed: float = 0.1) -> Segment:

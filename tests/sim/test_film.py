@@ -70,7 +70,7 @@ def made_log(cell: Cell, assembly: Assembly, episode: tuple[Row, ...] = EPISODE)
         arm_names=tuple(arm.name for arm in cell.arms), piece_names=assembly.names, times=times,
         joints=np.tile(list(joints.values()), (len(times), 1)), targets=empty, poses=poses,
         tcps=np.tile(tcp[:arms], (len(times), 1, 1)), wrenches=empty, grips=empty, contacts=empty, bodies=(),
-        segments=tuple(segments), constraints=(), ended="done",
+        segments=tuple(segments), events=(), constraints=(), ended="done",
     )  # fmt: skip
 
 

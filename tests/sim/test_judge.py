@@ -53,7 +53,7 @@ def good(assembly: Assembly, cell: Cell) -> ExecutionLog:
         joints=np.tile([*cell.q_home, 0.0, 0.0, 0.0, 0.0], (len(times), 1)), targets=np.zeros((len(times), 2, 6)),
         poses=np.tile(rows, (len(times), 1, 1)), tcps=np.tile([0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 1.0], (len(times), 2, 1)),
         wrenches=np.zeros((len(times), 2, 6)), grips=np.full((len(times), 2), 20.0), contacts=np.zeros((0, 5)),
-        bodies=(*links, "table", "stand", *assembly.names), segments=segments, constraints=(), ended="done",
+        bodies=(*links, "table", "stand", *assembly.names), segments=segments, events=(), constraints=(), ended="done",
     )  # fmt: skip
 
 

@@ -55,7 +55,7 @@ def running(
     world = World(cell, whole, STAND, poses, qs, physics or Physics())
     try:
         for joint in world.finger_joints[0]:
-            p.resetJointState(world.robot, joint, opening / 2, physicsClientId=world.client)
+            p.resetJointState(world.robots[0], joint, opening / 2, physicsClientId=world.client)
         world.open_hand(0, opening)
         yield world
     finally:
@@ -137,7 +137,7 @@ def test_friction_is_the_geometric_mean_of_two_bodies(cell: Cell) -> None:
     with running(cell, assembly(wood, [(0, 0, 0), (1, 0, 0)]), poses) as world:
         found = {name: p.getDynamicsInfo(body, -1, physicsClientId=world.client)[1] for name, body in world.pieces.items()}
         table = p.getDynamicsInfo(world.fixtures["table"], -1, physicsClientId=world.client)[1]
-        pads = [p.getDynamicsInfo(world.robot, link, physicsClientId=world.client)[1] for link in world.finger_links[0]]
+        pads = [p.getDynamicsInfo(*part, physicsClientId=world.client)[1] for part in world.finger_links[0]]
     assert found["half"] * table == pytest.approx(0.5)
     assert found["slippery"] * table == pytest.approx(np.sqrt(0.125 * 0.5))
     assert [found["half"] * pad for pad in pads] == pytest.approx([np.sqrt(0.5 * cell.arms[0].hand.pad_friction)] * 2)
@@ -186,6 +186,46 @@ def test_a_gripped_piece_that_is_not_pulled_stays(cell: Cell, robot: Robot) -> N
     assert np.rad2deg(rotation_angle(start[:3, :3], end[:3, :3])) < 0.02
 
 
+def test_a_strong_grip_converges_too(cell: Cell, robot: Robot) -> None:
+    """The solver must reach the limit of the motors of the fingers within its iterations, however strong the hand."""
+    block = box((SIDE, SIDE, 3 * SIDE), "block")
+    T = robot.tcp(0, cell.arms[0].q_home)
+    physics = Physics(grip_force=80.0)
+    with running(cell, assembly([block], [(0, 0, 0)]), {"block": T}, physics, SIDE + 2e-3) as world:
+        p.setGravity(0, 0, 0, physicsClientId=world.client)
+        grip(world, 80.0)
+        p.setGravity(0, 0, -GRAVITY, physicsClientId=world.client)
+        start = world.piece_poses()["block"]
+        run(world, 1.0)
+        end = world.piece_poses()["block"]
+        forces = [force for a, b, force, _ in world.contacts() if {a, b} & set(world.finger_links[0])]
+    assert np.linalg.norm(end[:3, 3] - start[:3, 3]) < 2e-5
+    np.testing.assert_allclose(forces, 80.0, rtol=0.02)
+
+
+@pytest.mark.parametrize("solver", ["dantzig", "pgs"])
+def test_arms_touch_each_other_and_themselves(cell: Cell, solver: str) -> None:
+    """Arms that reach for the same place meet; one that folds its elbow meets itself; neighbours in an arm never do."""
+    qs = np.deg2rad([[0.0, -60.0, 60.0, -90.0, -90.0, 0.0]] * 2)
+    with running(cell, assembly([box((SIDE,) * 3, "block")], [(0, 0, 0)]), {"block": make_transform(translation=(0, 0.3, 0.1))},
+                 Physics(solver=solver)) as world:  # type: ignore[arg-type]  # fmt: skip
+        names = world.part_names()
+
+        def touching(q: Array) -> set[frozenset[str]]:
+            for arm, angles in enumerate(q):
+                for joint, angle in zip(world.arm_joints[arm], angles, strict=True):
+                    p.resetJointState(world.robots[arm], joint, float(angle), physicsClientId=world.client)
+            p.performCollisionDetection(physicsClientId=world.client)
+            return {frozenset((names[a], names[b])) for a, b, _, distance in world.contacts() if distance < 0.0}
+
+        of = lambda pair: {name.split("_")[0] for name in pair}  # noqa: E731
+        assert not [pair for pair in touching(home(cell)) if of(pair) & {"left", "right"}]
+        assert [pair for pair in touching(qs) if of(pair) == {"left", "right"}]
+        folded = home(cell)
+        folded[0] = np.deg2rad([32.0, -90.0, 165.0, 0.0, -90.0, 0.0])
+        assert [pair for pair in touching(folded) if of(pair) == {"left"}]
+
+
 def test_renewing_the_contacts_in_flight_lets_nothing_slide(cell: Cell, robot: Robot) -> None:
     """A transfer renews the pads' contacts when the hand has turned: the grip must still be the whole of Coulomb's."""
     block = box((SIDE, SIDE, 3 * SIDE), "block")
@@ -220,7 +260,7 @@ def test_contacts_point_along_the_closing_axis_after_the_hand_has_turned(cell: C
         grip(world)
 
         def alignment() -> float:
-            rows = p.getContactPoints(world.robot, world.pieces["block"], physicsClientId=world.client)
+            rows = p.getContactPoints(world.robots[0], world.pieces["block"], physicsClientId=world.client)
             return min(abs(float(np.dot(row[7], world.tcp_poses()[0][:3, 0]))) for row in rows)
 
         q = np.array(cell.arms[0].q_home)
@@ -264,7 +304,7 @@ def test_a_piece_released_gently_stays(cell: Cell, robot: Robot) -> None:
         end, touching = world.piece_poses()["block"], world.contacts()
     assert np.linalg.norm(end[:3, 3] - start[:3, 3]) < 1e-4
     assert np.rad2deg(rotation_angle(start[:3, :3], end[:3, :3])) < 0.1
-    assert not [row for row in touching if (world.pieces["block"], -1) in row[:2] and world.robot in (row[0][0], row[1][0])]
+    assert not [row for row in touching if (world.pieces["block"], -1) in row[:2] and row[0][0] in world.robots]
 
 
 # --- masses, determinism -----------------------------------------------------------------------------------------------

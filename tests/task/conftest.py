@@ -9,8 +9,9 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.plan import make_plan
 from soma_bullet.robot.cell import Cell, load_cell
-from soma_bullet.task.feed import Feed, draw_feed
-from soma_bullet.task.program import Program, make_program
+from soma_bullet.task.feed import Feed, FeedOptions, draw_feed
+from soma_bullet.task.program import make_program
+from soma_bullet.task.segments import Program
 from soma_bullet.task.workcell import Workcell
 
 
@@ -36,7 +37,7 @@ def plan(soma3: Assembly, cell: Cell) -> AssemblyPlan:
 
 @pytest.fixture(scope="session")
 def feed(soma3: Assembly, plan: AssemblyPlan, cell: Cell) -> Feed:
-    return draw_feed(soma3, plan, cell, 0)
+    return draw_feed(soma3, plan, cell, 0, FeedOptions(poses="preferred"))
 
 
 @pytest.fixture(scope="session")

@@ -13,14 +13,26 @@ from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import Array, apply, readonly
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.robot.cell import Cell
-from soma_bullet.task.feed import GAP, Feed, FeedOptions, draw_feed, misplace, preferred_resting_pose, serving_grasps
+from soma_bullet.task.feed import (
+    GAP,
+    STEADY_MARGIN,
+    STEADY_TILT,
+    Feed,
+    FeedOptions,
+    draw_feed,
+    misplace,
+    preferred_resting_pose,
+    serving_grasps,
+    steady_poses,
+)
 
 SEEDS = range(50)
+ALL = FeedOptions(poses="all")
 
 
 @pytest.fixture(scope="module")
 def feeds(soma3: Assembly, plan: AssemblyPlan, cell: Cell) -> list[Feed]:
-    return [draw_feed(soma3, plan, cell, seed) for seed in SEEDS]
+    return [draw_feed(soma3, plan, cell, seed, ALL) for seed in SEEDS]
 
 
 @pytest.fixture(scope="module")
@@ -54,12 +66,46 @@ def test_places_are_in_the_areas_and_spread_over_all_of_them(centres: Array, cel
 
 
 def test_yaws_are_all_around(feeds: list[Feed], soma3: Assembly, plan: AssemblyPlan, cell: Cell) -> None:
+    preferred = [draw_feed(soma3, plan, cell, seed, FeedOptions(poses="preferred")) for seed in SEEDS]
     for name in soma3.names:
         rest = preferred_resting_pose(soma3, plan, cell.arms[0].hand, name)
-        yaws = np.array([yaw_of(feed.pose(name), rest) for feed in feeds])
+        yaws = np.array([yaw_of(feed.pose(name), rest) for feed in preferred])
         assert yaws.min() < -2.6 and yaws.max() > 2.6
-        assert np.histogram(yaws, bins=4, range=(-np.pi, np.pi))[0].min() > len(feeds) / 10
+        assert np.histogram(yaws, bins=4, range=(-np.pi, np.pi))[0].min() > len(feeds) / 15
         assert np.hypot(np.cos(yaws).mean(), np.sin(yaws).mean()) < 0.3
+
+
+def resting_index(pose: Array, poses: Array) -> int:
+    """Which resting pose a pose is, up to place and yaw."""
+    return int(np.argmin([np.abs(pose[2, :3] - rest[2, :3]).max() for rest in poses]))
+
+
+def test_every_steady_pose_is_drawn_about_as_often(feeds: list[Feed], soma3: Assembly) -> None:
+    for piece in soma3.pieces:
+        poses = steady_poses(piece)
+        drawn = np.bincount([resting_index(feed.pose(piece.name), poses) for feed in feeds], minlength=len(poses))
+        expected = len(feeds) / len(poses)
+        assert (drawn > 0).all() and ((drawn - expected) ** 2 / expected).sum() < 18.5  # chi-square, 5 dof, 0.25 %
+
+
+def test_steady_poses_fall_back(soma3: Assembly) -> None:
+    """Tilted by STEADY_TILT about any edge of what it stands on, the piece's centre of mass is still inside of that edge."""
+    for piece in soma3.pieces:
+        for pose in steady_poses(piece):
+            vertices, com = apply(pose, piece.vertices), apply(pose, piece.center_of_mass)
+            feet = vertices[vertices[:, 2] < vertices[:, 2].min() + 1e-6][:, :2]
+            corners = np.array(shapely.multipoints(feet).convex_hull.exterior.coords)
+            height = com[2] - vertices[:, 2].min()
+            for a, b in zip(corners[:-1], corners[1:], strict=True):
+                along = (b - a) / np.linalg.norm(b - a)
+                inside = abs(along[0] * (com[1] - a[1]) - along[1] * (com[0] - a[0]))
+                assert inside > STEADY_MARGIN and inside > height * np.tan(STEADY_TILT)
+
+
+def test_pieces_that_need_a_regrasp_are_counted(feeds: list[Feed], soma3: Assembly, plan: AssemblyPlan, cell: Cell) -> None:
+    for feed in feeds[:10]:
+        served = [len(serving_grasps(soma3, plan, cell.arms[0].hand, name, feed.pose(name))) for name in feed.names]
+        assert feed.regrasps_needed == served.count(0)
 
 
 def test_pieces_keep_apart(feeds: list[Feed], soma3: Assembly) -> None:
@@ -93,7 +139,7 @@ def test_every_piece_can_be_gripped_where_it_lies(soma3: Assembly, plan: Assembl
 
 
 def test_the_seed_decides(soma3: Assembly, plan: AssemblyPlan, cell: Cell, feeds: list[Feed]) -> None:
-    again = draw_feed(soma3, plan, cell, 7)
+    again = draw_feed(soma3, plan, cell, 7, ALL)
     assert again.poses.tobytes() == feeds[7].poses.tobytes()
     assert (again.names, again.overlaps, again.seed) == (feeds[7].names, feeds[7].overlaps, 7)
     assert len({feed.poses.tobytes() for feed in feeds}) == len(feeds)

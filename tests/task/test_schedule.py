@@ -12,9 +12,12 @@ from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import readonly
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.equilibrium import classify
-from soma_bullet.task.feed import Feed, draw_feed
+from soma_bullet.task.assignments import Schedule
+from soma_bullet.task.feed import Feed, FeedOptions, draw_feed
 from soma_bullet.task.grasps import grasp_poses
-from soma_bullet.task.schedule import APPROACH, LIFT, SMALLEST_MARGIN, Schedule, Scheduler
+from soma_bullet.task.holding import SMALLEST_MARGIN
+from soma_bullet.task.schedule import Scheduler
+from soma_bullet.task.tracing import APPROACH, LIFT
 from soma_bullet.task.workcell import Workcell
 
 SEEDS = (0, 1)
@@ -24,7 +27,7 @@ SEEDS = (0, 1)
 def scheduled(workcell: Workcell, plan: AssemblyPlan) -> dict[int, tuple[Feed, Schedule]]:
     found = {}
     for seed in SEEDS:
-        feed = draw_feed(workcell.assembly, plan, workcell.cell, seed)
+        feed = draw_feed(workcell.assembly, plan, workcell.cell, seed, FeedOptions(poses="preferred"))
         found[seed] = feed, Scheduler(workcell, plan, feed).find()
     return found
 

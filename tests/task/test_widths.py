@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from soma_bullet.grasp.hand import Hand
-from soma_bullet.task.program import FINGER_STEP, widths_between
+from soma_bullet.task.motions import FINGER_STEP, widths_between
 from soma_bullet.task.workcell import Workcell
 
 

@@ -1,0 +1,323 @@
+"""The executive loop: start what may start, look at what was measured, recover where that is possible, or stop cleanly.
+
+It knows what a real cell would: measured joints, the wrists' forces, the distances between the pads. Where pieces are it asks
+only by an explicit sensing step, which is as inexact as the perception of the feed and is logged.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from soma_bullet.errors import NoSolutionError
+from soma_bullet.frames import Array, apply, inverse, readonly, rotation_angle
+from soma_bullet.grasp.clearance import OPENING
+from soma_bullet.motion.line import LineError, sample_line
+from soma_bullet.motion.timing import time_path
+from soma_bullet.planner.assembly_plan import AssemblyPlan
+from soma_bullet.sim.execute import Executor, Observation
+from soma_bullet.sim.log import Event
+from soma_bullet.task.assignments import Carried, Start
+from soma_bullet.task.feed import FeedOptions, misplace
+from soma_bullet.task.motions import joined
+from soma_bullet.task.overlap import overlapped
+from soma_bullet.task.program import NO_PATH, NONE, recover_program, replan
+from soma_bullet.task.segments import DT, MOTIONS, OPENING_TIME, SPEEDS, Program, Segment
+from soma_bullet.task.tracing import APPROACH
+from soma_bullet.task.workcell import Hands, Workcell
+
+SMALLEST_JUMP, LARGEST_JUMP = 1e-4, 0.01  # [rad] below the one a path is taken as it is, up to the other it is bent to meet
+AGAIN = 3  # times that a jammed insertion is tried again
+RECOVERIES = 6  # in one episode
+OFF_MM, OFF_DEG = 5.0, 10.0  # [mm], [deg] a piece that is seen farther from its goal has been lost
+BEND = 0.3  # of a placing, over which its path is bent to where the piece is seen in the hand
+Progress = Callable[[str, float], None]
+Detour = Generator[Segment, Observation, Observation]
+
+
+@dataclass(frozen=True)
+class ExecutionOptions:
+    """How a program is executed.
+
+    Attributes:
+        together: the arms move at the same time where it is safe; else one at a time.
+        compliant: the wrist's force guides insertions; else they stop at the first touch.
+        recover: what does not go as planned is tried again where that is possible; else it ends the episode.
+        longest: simulated time [s] after which an episode is ended.
+    """
+
+    together: bool = True
+    compliant: bool = True
+    recover: bool = True
+    longest: float = 900.0
+
+
+class _TooLong(Exception):
+    """The episode has taken longer than it may."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Trouble:
+    """What did not go as planned."""
+
+    segment: Segment
+    seen: Observation | None
+    reason: str
+
+
+class Executive:
+    """Executes one program.
+
+    Args:
+        executor: of the world.
+        feed: how exact perception is.
+        ablate: `hold` opens every hand that should hold; nothing is recovered from then.
+    """
+
+    def __init__(
+        self,
+        workcell: Workcell,
+        plan: AssemblyPlan,
+        program: Program,
+        executor: Executor,
+        feed: FeedOptions,
+        options: ExecutionOptions,
+        ablate: str = "",
+        progress: Progress = lambda what, fraction: None,
+    ):
+        self.workcell, self.plan, self.program, self.executor = workcell, plan, program, executor
+        self.feed, self.ablate, self.together, self.progress = feed, ablate, options.together, progress
+        self.recover, self.longest = options.recover and not ablate, options.longest
+        self.placed: list[str] = []
+        self.gripped: dict[int, str] = {}  # arm -> piece between its fingers
+        self.looks = 0
+
+    def run(self) -> str:
+        """Returns `done`, or why it stopped."""
+        program, again = self.program, 0
+        while True:
+            try:
+                trouble = self._run(program)
+            except _TooLong:
+                return f"not done after {self.longest:g} s"
+            fallen = self._fallen() if trouble is None and self.recover else []
+            if trouble is None and not fallen:
+                return "done"
+            piece = trouble.segment.piece if trouble else fallen[0]
+            what = f"{piece} {trouble.reason}" if trouble else f"{', '.join(fallen)} fell"
+            self._event("trouble", piece, what)
+            if not self.recover or again == RECOVERIES:
+                return what
+            again += 1
+            try:
+
+                start = self._found(program, trouble)
+                program = recover_program(self.workcell, self.plan, start, self.program.seed + 101 * again)
+                program = overlapped(self.workcell, program) if self.together else program
+            except NoSolutionError as error:
+                self._event("given up", piece, error.summary)
+                return f"{what}; {error.summary}"
+            self._event("planned anew", piece, f"from step {start.step + 1}")
+
+    # --- running a program -------------------------------------------------------------------------------------------------
+
+    def _run(self, program: Program) -> _Trouble | None:
+        """Run segments as soon as they may, until all are done or one goes wrong; then the others are let finish."""
+        arms = self.workcell.cell.arms
+        waiting = {arm: [k for k, s in enumerate(program.segments) if s.arm == arm] for arm in range(len(arms))}
+        done: set[int] = set()
+        running: dict[int, tuple[int, Detour]] = {}
+        trouble: _Trouble | None = None
+        ended: list[tuple[Segment, Observation]] = []
+        while True:
+            for segment, seen in ended:
+                k, detour = running.pop(segment.arm)
+                try:
+                    following = detour.send(seen)
+                    running[segment.arm] = (k, detour)
+                    self.executor.begin(following)
+                except StopIteration as stop:
+                    trouble = self._after(program, segment, stop.value) or trouble
+                    done.add(k)
+            for arm, queue in waiting.items():
+                if not queue or trouble is not None or arm in running or not done.issuperset(program.after[queue[0]]):
+                    continue
+                try:
+                    ready = self._ready(program, queue[0])
+                except NoSolutionError as error:
+                    trouble = _Trouble(program.segments[queue[0]], None, error.summary)
+                    continue
+                if ready is not None:
+                    k = queue.pop(0)
+                    self.progress(f"{arms[arm].name}: {ready.kind} {ready.piece}", len(done) / len(program.segments))
+                    detour = self._detour(ready)
+                    self.executor.begin(next(detour))
+                    running[arm] = (k, detour)
+            if not running:
+                return trouble
+            ended = self.executor.tick()
+            if self.executor.world.time > self.longest:
+                raise _TooLong
+
+    def _ready(self, program: Program, k: int) -> Segment | None:
+        """A segment from where its arm is; None where that has to wait until no other arm moves."""
+        segment, qs = program.segments[k], self.executor.world.measured_joints()
+        if segment.kind not in MOTIONS:
+            return segment
+        jump = float(np.abs(qs[segment.arm] - segment.path[0]).max())
+        if jump <= SMALLEST_JUMP:
+            return segment
+        if jump <= LARGEST_JUMP:
+            return replace(segment, path=readonly(joined(segment.path, qs[segment.arm])))
+        return None if self.executor.busy else replan(self.workcell, program, k, qs)
+
+    def _detour(self, segment: Segment) -> Detour:
+        """What is run for a segment: itself, and what is tried where an insertion jams. Returns the last observation."""
+        seen = yield segment
+        if segment.kind != "place" or not self.recover:
+            return seen
+        for _ in range(AGAIN):
+            if seen.outcome != "jammed":
+                break
+            self._event("jammed", segment.piece, f"{seen.reason or 'contact'}, {seen.remaining * 1e3:.1f} mm left")
+            q = self.executor.world.measured_joints()[segment.arm]
+            back = joined(self._reached(segment, seen)[::-1], q)
+            yield replace(segment, kind="back_off", path=readonly(back), offset=-segment.offset, guard=0.0)
+            bent = self._corrected(segment)
+            if bent is None:
+                return replace(seen, outcome="lost")
+            seen = yield bent
+        return seen
+
+    def _reached(self, segment: Segment, seen: Observation) -> Array:
+        """As much of a path as was travelled."""
+        length = float(np.linalg.norm(segment.offset))
+        last = round((len(segment.path) - 1) * (1.0 - seen.remaining / max(length, 1e-12)))
+        return segment.path[: max(last, 1) + 1]
+
+    def _corrected(self, segment: Segment) -> Segment | None:
+        """A placing bent to where the piece is seen in the hand; None where it is not in it any more."""
+        robot, arm, piece = self.workcell.robot, segment.arm, segment.piece
+        T_tcp_piece = inverse(robot.tcp(arm, self.executor.world.measured_joints()[arm])) @ self._look()[piece]
+        planned = robot.tcp(arm, segment.path[-1])
+        wanted = self.workcell.settled[piece] @ inverse(T_tcp_piece)
+        shift = wanted[:3, 3] - planned[:3, 3]
+        turn = Rotation.from_matrix(wanted[:3, :3] @ planned[:3, :3].T).as_rotvec()
+        if np.linalg.norm(shift) > OFF_MM * 1e-3 or np.linalg.norm(turn) > np.deg2rad(OFF_DEG):
+            return None
+        ramp = np.clip(np.linspace(0.0, 1.0 / BEND, len(segment.path)), 0.0, 1.0)[:, None]
+        path = segment.path + ramp * (segment.compliance @ np.concatenate([shift, turn]))
+        return replace(segment, path=readonly(joined(path, self.executor.world.measured_joints()[arm])))
+
+    def _after(self, program: Program, segment: Segment, seen: Observation) -> _Trouble | None:
+        """Keep account of what is where; what went wrong, if anything."""
+        if seen.outcome in ("jammed", "lost") and not self.ablate:
+            return _Trouble(segment, seen, f"{seen.outcome} in {segment.kind}")
+        if segment.kind == "grasp":
+            self.gripped[segment.arm] = segment.piece
+        elif segment.kind == "place":
+            self.placed.append(segment.piece)
+        elif segment.kind == "retreat":
+            self.gripped.pop(segment.arm, None)
+        elif segment.kind == "settle" and self.ablate == "hold":
+            assignment = next(a for a in program.schedule.assignments if a.step == segment.step)
+            if segment.piece in assignment.holds:
+                self.executor.let_go(segment, assignment.width + 2 * OPENING)
+        return None
+
+    # --- looking, and going on from what is found --------------------------------------------------------------------------
+
+    def _look(self) -> dict[str, Array]:
+        """Perceived T_world_piece of every piece."""
+        self.looks += 1
+        poses = self.executor.world.piece_poses()
+        feed = self.program.feed
+        there = replace(feed, poses=readonly(np.array([poses[name] for name in feed.names])))
+        seen = misplace(self.workcell.assembly, there, self.feed, self.program.seed + 7919 * self.looks)
+        self._event("looked", "", "")
+        return {name: seen.pose(name) for name in seen.names}
+
+    def _fallen(self, poses: Mapping[str, Array] | None = None) -> list[str]:
+        """Pieces that were placed and are seen elsewhere."""
+        poses = self._look() if poses is None else poses
+        return [name for name in self.placed if self._off(name, poses[name])]
+
+    def _off(self, name: str, pose: Array) -> bool:
+        goal, piece = self.workcell.settled[name], self.workcell.assembly.pieces[self.workcell.assembly.index(name)]
+        shift = np.linalg.norm(apply(pose, piece.center_of_mass) - apply(goal, piece.center_of_mass))
+        return bool(shift > OFF_MM * 1e-3 or rotation_angle(pose[:3, :3], goal[:3, :3]) > np.deg2rad(OFF_DEG))
+
+    def _found(self, program: Program, trouble: _Trouble | None) -> Start:
+        """The state to go on from, the hands clear of what they lost."""
+        lost = trouble is not None and trouble.segment.arm in self._empty(trouble)
+        if trouble is not None and lost:
+            self._withdraw(program, trouble.segment)
+        poses = self._look()
+        fallen = self._fallen(poses)
+        if fallen:
+            self._event("fallen", fallen[0], f"{', '.join(fallen)} not in place")
+            for arm, piece in list(self.gripped.items()):
+                if piece in self.placed:
+                    self._back_away(arm, piece)
+        self.placed = [name for name in self.placed if name not in fallen]
+        order = self.plan.order
+        step = next((k for k, name in enumerate(order) if name not in self.placed), len(order))
+        if set(order[:step]) != set(self.placed):
+            raise NoSolutionError("schedule", f"{', '.join(self.placed)} are in place, which no step of the plan begins with")
+        world = self.executor.world
+        qs, openings = world.measured_joints(), world.openings()
+        carried = {arm: piece for arm, piece in self.gripped.items() if piece not in self.placed}
+        if len(carried) > 1:
+            raise NoSolutionError("schedule", f"both hands carry: {', '.join(sorted(carried.values()))}")
+        held = {arm: piece for arm, piece in self.gripped.items() if piece in self.placed}
+        carrying = None
+        for arm, piece in carried.items():
+            carrying = Carried(piece, arm, inverse(self.workcell.robot.tcp(arm, qs[arm])) @ poses[piece])
+        known = {name: self.workcell.settled[name] if name in self.placed else pose for name, pose in poses.items()}
+        return Start(step, known, Hands(qs, openings, held), carrying)
+
+    def _empty(self, trouble: _Trouble) -> tuple[int, ...]:
+        """Arms whose hands have lost what they should have."""
+        if trouble.seen is not None and trouble.seen.outcome == "lost":
+            return (trouble.segment.arm,)
+        return ()
+
+    def _withdraw(self, program: Program, segment: Segment) -> None:
+        """Open a hand that has nothing, and go back the way it came if it is at a grasp."""
+        arm = segment.arm
+        self.gripped.pop(arm, None)
+        opening = self.executor.world.openings()[arm]
+        width = next((s.width for s in reversed(program.segments) if s.kind == "grasp" and s.piece == segment.piece), opening)
+        opened = max(opening, width) + 2 * OPENING
+        self._now(replace(segment, kind="release", path=NO_PATH, opening=opened, duration=OPENING_TIME, guard=0.0))
+        if segment.kind == "grasp":
+            approach = next(s for s in program.segments if (s.kind, s.arm, s.piece) == ("approach", arm, segment.piece))
+            q = self.executor.world.measured_joints()[arm]
+            back = readonly(joined(approach.path[::-1], q))
+            self._now(replace(approach, kind="back_off", path=back, offset=-approach.offset, opening=np.nan))
+
+    def _back_away(self, arm: int, piece: str) -> None:
+        """Open a hand at what is left of the assembly, and go straight back."""
+        world, robot = self.executor.world, self.workcell.robot
+        self.gripped.pop(arm)
+        q = world.measured_joints()[arm]
+        opened = float(world.openings()[arm]) + 2 * OPENING
+        here = Segment("release", -1, arm, piece, NO_PATH, NONE, opened, OPENING_TIME, 0.0)
+        self._now(here)
+        offset = -robot.tcp(arm, q)[:3, 2] * APPROACH
+        try:
+            path, travel = sample_line(robot, arm, q, offset)
+        except LineError as error:
+            raise NoSolutionError("motion", f"{piece}: no way back from where it was held: {error}") from None
+        joints = robot.arm(arm)
+        timed = time_path(path, joints.velocity, joints.acceleration, DT, travel, SPEEDS["retreat"])
+        self._now(replace(here, kind="back_off", path=readonly(timed), offset=readonly(offset), opening=np.nan, duration=0.0))
+
+    def _now(self, segment: Segment) -> None:
+        self.executor.run(segment)
+
+    def _event(self, kind: str, piece: str, text: str) -> None:
+        self.executor.recorder.events.append(Event(self.executor.world.time, kind, piece, text))

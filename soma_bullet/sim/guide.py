@@ -1,0 +1,92 @@
+"""Compliant insertion: the wrist's force guides the last millimetres.
+
+Along the insertion the hand slows down as the resistance grows (damping control); sideways it yields to the force (admittance);
+where it meets resistance before the end it searches along an Archimedean spiral for the opening (blind spiral search: W. Newman
+et al., ICRA 2001; H. Park et al., IEEE T-IE 2017).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from soma_bullet.frames import Array, tangents
+
+
+@dataclass(frozen=True)
+class Compliance:
+    """How a hand yields.
+
+    Attributes:
+        press: resistance at which the hand advances no further, and backs off beyond it [N].
+        search: resistance from which it searches [N].
+        give: sideways speed for each newton [m/s/N], of forces beyond `dead` [N].
+        speed: of the search [m/s]; pitch: between two turns of its spiral [m]; reach: its largest radius [m].
+        limit: force at which the insertion is given up [N].
+    """
+
+    press: float = 2.5
+    search: float = 1.0
+    give: float = 4e-3
+    dead: float = 0.1
+    speed: float = 6e-3
+    pitch: float = 0.25e-3
+    reach: float = 1.6e-3
+    limit: float = 14.0
+
+
+class Guide:
+    """Where one insertion has got to: how far aside the hand is, and how fast it may go on.
+
+    Attributes:
+        offset: of the hand from its path (3,) [m].
+        failed: why it gives up; empty while it does not.
+    """
+
+    def __init__(self, direction: Array, compliance: Compliance):
+        self.direction, self.compliance = np.asarray(direction, float), compliance
+        self._across = tangents(self.direction)
+        self.offset = np.zeros(3)
+        self._centre = np.zeros(3)
+        self._turned = 0.0  # [rad] along the spiral
+        self.failed = ""
+
+    @property
+    def searching(self) -> bool:
+        """Whether the hand is on its spiral."""
+        return self._turned > 0.0
+
+    def update(self, force: Array, dt: float) -> float:
+        """Take the force on the hand (3,) [N] in the world after `dt` [s]; returns the speed as a fraction of the planned."""
+        c = self.compliance
+        resistance = -float(force @ self.direction)
+        aside = force + resistance * self.direction
+        if float(np.linalg.norm(force)) > c.limit:
+            self.failed = "force"
+        if resistance > c.search or (self.searching and resistance > c.search / 2):
+            self._search(dt)
+        else:
+            if self.searching:
+                self._turned, self._centre = 0.0, self.offset
+            size = float(np.linalg.norm(aside))
+            if size > c.dead:
+                self.offset = self._bounded(self.offset + aside * (1.0 - c.dead / size) * c.give * dt)
+                self._centre = self.offset
+        return float(np.clip(1.0 - resistance / c.press, -1.0, 1.0))
+
+    def _search(self, dt: float) -> None:
+        c = self.compliance
+        per_turn = c.pitch / (2 * np.pi)
+        radius = per_turn * self._turned
+        self._turned += c.speed * dt / max(radius, c.pitch)
+        radius = per_turn * self._turned
+        if radius > c.reach:
+            self.failed = "not found"
+            return
+        first, second = self._across
+        self.offset = self._centre + radius * (np.cos(self._turned) * first + np.sin(self._turned) * second)
+
+    def _bounded(self, offset: Array) -> Array:
+        length = float(np.linalg.norm(offset))
+        return offset * min(1.0, self.compliance.reach / max(length, 1e-12))

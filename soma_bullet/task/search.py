@@ -1,0 +1,453 @@
+"""The search of a schedule with every piece in its place on the table.
+
+A depth-first search over the steps of the plan. Each step tries arms and grasps, cheapest first, and keeps one only if the hand
+serves where the piece lies and at the goal, the straight lines of approach, lift, insertion and retreat are free, hands and
+arms clear each other, and a hold has its certificate. Where no grasp serves at both, the piece is put down or handed over on
+the way. Every rejection is counted under its reason.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from soma_bullet.errors import NoSolutionError
+from soma_bullet.frames import Array, Indices, Mask, apply, inverse, readonly
+from soma_bullet.grasp.clearance import MARGIN, hand_hulls, sweep_hand
+from soma_bullet.planner.assembly_plan import AssemblyPlan
+from soma_bullet.planner.assist import HoldCertificate
+from soma_bullet.task.assignments import Assignment, HandOver, Pick, PutDown, Regrasp, Release, Square, Start, Take
+from soma_bullet.task.feed import Feed
+from soma_bullet.task.fetch import CHAINS, Action, Fetcher, View
+from soma_bullet.task.guarded import guarded_length
+from soma_bullet.task.holding import SMALLEST_MARGIN, Holding, State
+from soma_bullet.task.spots import comfort, spread
+from soma_bullet.task.tracing import Grip, Mover, TooManyLines, Tracer
+from soma_bullet.task.workcell import Hands, Workcell
+
+RUN_IN = 0.012  # [m] of insertion beyond the piece's own size
+LOOKED_AT = 12  # as many candidates as are wanted are looked at before the piece is regrasped instead
+SHALLOW = 8  # candidates a step; no more, and a piece that one grasp can bring is not regrasped
+DEEP = 72  # candidates a step; more, and more goal grasps are regrasped
+REGRASPED, WAYS = 6, 2  # goal grasps that are brought about by regrasps, and ways of each kind for one of them
+ALTERNATE = 0.4  # [m] nearer to the piece an arm must be to insert twice in a row: the other could fetch meanwhile
+PREPARATIONS: tuple[tuple[Action, ...], ...] = (("put down",), ("hand over", "put down"), ("put down", "put down"))
+NEAREST, STRAIGHTEST = 4e-3, np.deg2rad(8.0)  # [m], [rad] a carried piece sits in one of its grasps within this
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    arm: int
+    grip: Grip
+
+
+@dataclass(frozen=True, eq=False)
+class _Placing:
+    """The end of a step: how the piece goes in, and what happens afterwards."""
+
+    candidate: _Candidate
+    q_goal: Array
+    q_ready: Array
+    certificate: HoldCertificate | None
+    takes: tuple[Take, ...]
+    releases: tuple[Release, ...]
+    after: State
+
+
+class Search:
+    """Searches schedules from given poses of the pieces; checks that two schedules share are made once.
+
+    Attributes:
+        poses: T_world_piece of every piece once `prologue` is done.
+        prologue: regrasps that come before the first step.
+        excluded: what a later stage ruled out: (step, arm, grasp), or the `key` of a way to regrasp.
+    """
+
+    def __init__(
+        self, workcell: Workcell, plan: AssemblyPlan, feed: Feed, poses: dict[str, Array], start: Start | None,
+        rejections: Counter[str], excluded: set[tuple[object, ...]], prologue: tuple[Regrasp, ...] = (),
+    ):  # fmt: skip
+        self.workcell, self.plan, self.start = workcell, plan, start
+        self.robot = workcell.robot
+        self.rejections, self.excluded = rejections, excluded
+        self.tracer = Tracer(workcell, self.rejections)
+        self.fetcher = Fetcher(self.tracer, plan, feed, excluded)
+        self.hand = self.fetcher.hand
+        self.holding = Holding(self.tracer, plan, self.fetcher)
+        self._slow: dict[int, float] = {}
+        self._insertions: dict[tuple[int, int, bytes], list[Array]] = {}
+        self.poses = dict(poses)
+        self._begun: State | None = None
+        self.takes: tuple[Take, ...] = ()
+        self.releases: tuple[Release, ...] = ()
+        self._dead: set[tuple[object, ...]] = set()  # states that no further step follows
+        self.first = 0 if start is None else start.step
+        self.deepest = self.first  # step that the search has come to
+        self.carried, stowed = (None, ()) if prologue else self._in_hand()
+        self.prologue = (*stowed, *prologue)
+        self.fetcher.moved = frozenset(regrasp.piece for regrasp in self.prologue)
+
+    def find(self, width: int, lines: int) -> tuple[Assignment, ...] | None:
+        """The first schedule among `width` candidates a step, or None, also where it takes more than `lines` lines of hands.
+
+        Raises:
+            NoSolutionError: a piece is out of reach.
+        """
+        self.tracer.most_lines = self.tracer.lines + lines
+        try:
+            for assignments in self._search(self.first, self._initial(), width):
+                if self.prologue and assignments:
+                    assignments[0] = replace(assignments[0], regrasps=(*self.prologue, *assignments[0].regrasps))
+                return tuple(assignments)
+        except TooManyLines:
+            pass
+        return None
+
+    def prepare(self, k: int) -> Iterator[tuple[Regrasp, ...]]:
+        """Ways to lay the piece of step k down so that a grasp for its goal serves, before the first step."""
+        self.tracer.most_lines = 10**9
+        view = self._view(k, self._initial())
+        lying = {name: pose for name, pose in self._lying(self.first - 1).items() if name != view.piece}
+        view = replace(view, step=-2 - k, lying=lying)
+        graph = self.fetcher.graph(view.piece)
+        chosen = np.array(sorted(self._allowed(k)), int)
+        turns = []
+        for arm in view.free:
+            cost = comfort(self.robot, arm, self.workcell.settled[view.piece] @ graph.poses[chosen]) - graph.contact[chosen]
+            turns.append([_Candidate(arm, graph.grip(g)) for g in spread(graph.poses, chosen, cost)])
+        candidates = [c for turn in itertools.zip_longest(*turns) for c in turn if c is not None]
+        usable = [c for c in candidates[: LOOKED_AT * REGRASPED] if self._lines_in(k, c)][: 2 * REGRASPED]
+        for actions in PREPARATIONS:
+            for candidate in usable:
+                ways = self.fetcher.chains(view, candidate.arm, candidate.grip, actions)
+                yield from (regrasps for regrasps, _ in itertools.islice(ways, 1))
+
+    def _search(self, k: int, state: State, width: int) -> Iterator[list[Assignment]]:
+        self.deepest = max(self.deepest, k)
+        if k == len(self.plan.steps):
+            yield []
+            return
+        view, found = self._view(k, state), False
+        if (*view.key, width) in self._dead:
+            return
+        for assignment, after in self._assignments(k, state, view, width):
+            if key(assignment) in self.excluded or key(assignment)[:3] in self.excluded:
+                continue
+            for rest in self._search(k + 1, after, width):
+                found = True
+                yield [assignment, *rest]
+        if not found:
+            self._dead.add((*view.key, width))
+
+    def _assignments(self, k: int, state: State, view: View, width: int) -> Iterator[tuple[Assignment, State]]:
+        """The ways to do step k: direct ones first, then with regrasps, fewest and quickest first."""
+        unsquared: list[tuple[Assignment, State]] = []
+        for candidate in self._direct(k, state, view, width):
+            for assignment, after in self._directly(k, state, view, candidate):
+                if assignment.regrasps or assignment.in_hand or not self.fetcher.off(view.piece):
+                    yield assignment, after
+                else:
+                    unsquared.append((assignment, after))
+        yield from unsquared
+        if width <= SHALLOW and view.carrying is None:
+            served = self.fetcher.clear_at(view, view.source)
+            if served[sorted(self._allowed(k))].any():
+                return  # other ways to do the steps before come first
+        if not self._in_reach(view):
+            reason = f"{view.piece} cannot be picked where it is by any arm and grasp"
+            raise NoSolutionError("schedule", reason, self.rejections)
+        placings = self._placings(k, state, REGRASPED if width <= DEEP else 4 * REGRASPED)
+        for actions in CHAINS:
+            for placing in placings:
+                candidate = placing.candidate
+                ways = self.fetcher.chains(view, candidate.arm, candidate.grip, actions)
+                for regrasps, pick in itertools.islice(ways, WAYS):
+                    yield self._assignment(k, view, placing, regrasps, pick), placing.after
+
+    # --- where the search starts ---------------------------------------------------------------------------------------
+
+    def _initial(self) -> State:
+        if self._begun is None:
+            found = self._as_found()
+            changed = self.holding.settle(self.first - 1, found, self._lying(self.first - 1)) if self.first else ((), (), found)
+            if changed is None:
+                raise NoSolutionError("schedule", "the hands cannot go on from how they hold", self.rejections)
+            self.takes, self.releases, self._begun = changed
+        return self._begun
+
+    def _as_found(self) -> State:
+        if self.start is None:
+            return State({}, self.workcell.idle())
+        hands = self.start.hands
+        grip = {piece: self.robot.tcp(arm, hands.qs[arm]) for arm, piece in hands.gripped.items()}
+        for arm in range(len(self.workcell.cell.arms)):
+            if arm not in hands.gripped:
+                hands = hands.with_arm(arm, self.robot.home[arm], 0.0)
+        return State({s.piece: self._placed_pose(s.piece) for s in self.plan.steps[: self.first]}, hands, grip)
+
+    def _in_hand(self) -> tuple[tuple[int, Grip] | None, tuple[Regrasp, ...]]:
+        """What an arm carries at the start; a piece whose turn is not now is put down first."""
+        carrying = self.start.carrying if self.start is not None else None
+        if carrying is None or self.start is None:
+            return None, ()
+        graph = self.fetcher.graph(carrying.piece)
+        T_piece_tcp = inverse(carrying.T_tcp_piece)
+        index, _, _ = graph.nearest(T_piece_tcp)
+        width = float(self.start.hands.openings[carrying.arm])
+        grip = Grip(index, readonly(T_piece_tcp), width, float(graph.contact[index]))
+        if carrying.piece == self.plan.steps[self.first].piece:
+            return (carrying.arm, grip), ()
+        put = self._put_away(carrying.piece, carrying.arm, grip)
+        self.poses[carrying.piece] = put.pose_down
+        return None, (put,)
+
+    def _put_away(self, piece: str, arm: int, grip: Grip) -> PutDown:
+        state = self._initial()
+        lying = {s.piece: self.poses[s.piece] for s in self.plan.steps[self.first :] if s.piece != piece}
+        view = View(-1, piece, self.poses[piece], (arm, grip), lying, state.placed, state.hands, (arm,))
+        for rest in range(len(self.fetcher.graph(piece).resting)):
+            poses = self.fetcher.places(view, rest)
+            cost = comfort(self.robot, arm, poses @ grip.T_piece_tcp)
+            for n in np.argsort(np.round(cost, 9), kind="stable")[:12]:
+                put = self.fetcher.put_down(view, arm, grip, poses[n])
+                if put is not None:
+                    return put
+        raise NoSolutionError("schedule", f"{piece} is in a hand and can be put down nowhere", self.rejections)
+
+    def _view(self, k: int, state: State) -> View:
+        piece = self.plan.steps[k].piece
+        free = tuple(arm for arm in range(len(self.workcell.cell.arms)) if arm not in state.hands.gripped)
+        carrying = self.carried if k == self.first else None
+        return View(k, piece, self.poses[piece], carrying, self._lying(k), state.placed, state.hands, free)
+
+    def _lying(self, k: int) -> dict[str, Array]:
+        """The pieces on the table besides that of step k."""
+        return {s.piece: self.poses[s.piece] for s in self.plan.steps[k + 1 :]}
+
+    # --- candidates, cheapest first ------------------------------------------------------------------------------------
+
+    def _in_reach(self, view: View) -> bool:
+        """Whether any arm can pick the piece by any grasp at all."""
+        graph = self.fetcher.graph(view.piece)
+        grips = [graph.grip(int(g)) for g in spread(graph.poses, *self._clear_grasps(view))]
+        arms = range(len(self.workcell.cell.arms))
+        return view.carrying is not None or any(
+            self.fetcher.picks_alone(view, view.source, arm, grip) for grip in grips for arm in arms
+        )
+
+    def _clear_grasps(self, view: View) -> tuple[Indices, Array]:
+        """Grasps that serve where the piece is, and how tilted the hand is [rad]."""
+        indices = np.flatnonzero(self.fetcher.clear_at(view, view.source))
+        tcp = view.source @ self.fetcher.graph(view.piece).poses[indices]
+        return indices, np.arccos(np.clip(-tcp[:, 2, 2], -1, 1))
+
+    def _allowed(self, k: int) -> set[int]:
+        """Grasps of the step's piece that serve at the goal and while it is held."""
+        step = self.plan.steps[k]
+        held = [set(hold.grasps) for hold in step.holds if hold.piece == step.piece and not hold.taken]
+        return set(step.grasps).intersection(*held)
+
+    def _chosen(self, k: int, state: State) -> Indices:
+        """Grasps of the step's piece that serve at the goal, while it is held, and beside the hands that hold."""
+        step = self.plan.steps[k]
+        indices = np.array(sorted(self._allowed(k)), int)
+        if not len(indices):
+            self.tracer.reject(step.piece, "no accessible grasp" + (" that may hold it" if step.holds else ""))
+            return indices
+        clear = self._clear_of_holders(k, state, indices)
+        met = int((~clear).sum())
+        self.tracer.reject(step.piece, "hand meets a holding hand or a placed piece on its way in", met)
+        return indices[clear]
+
+    def _arms(self, k: int, state: State, view: View) -> list[int]:
+        """Free arms, the one that reaches well and did not insert last first."""
+        piece = self.fetcher.graph(view.piece).piece
+        com = apply(view.source, piece.center_of_mass)
+        cost = {
+            arm: np.linalg.norm(com - self.robot.arm(arm).T_world_base[:3, 3]) + ALTERNATE * (arm == state.last)
+            for arm in view.free
+        }
+        return sorted(view.free, key=lambda arm: cost[arm])
+
+    def _direct(self, k: int, state: State, view: View, width: int) -> Iterator[_Candidate]:
+        """Grasps that serve where the piece is and at the goal, with arms; of every direction one, the most promising first."""
+        if view.carrying is not None:
+            yield from self._carried_candidate(k, view)
+            return
+        graph, indices = self.fetcher.graph(view.piece), self._chosen(k, state)
+        clear = self.fetcher.clear_at(view, view.source)[indices]
+        touched = int((~clear).sum())
+        self.tracer.reject(view.piece, "hand touches the table or a piece at the feed", touched)
+        indices = indices[clear]
+        tcp = view.source @ graph.poses[indices]
+        reach = np.linalg.norm(tcp[:, :3, 3] - apply(view.source, graph.piece.center_of_mass), axis=1)
+        tilt = np.arccos(np.clip(-tcp[:, 2, 2], -1, 1))
+        cost = reach / 0.03 + (1 - graph.contact[indices]) + 0.5 * tilt
+        arms = self._arms(k, state, view)
+        groups: dict[tuple[float, ...], list[_Candidate]] = {}  # by arm and direction of the hand: each may fail as a whole
+        for rank in np.argsort(np.round(cost, 9), kind="stable"):
+            g = int(indices[rank])
+            for arm in arms:
+                T = graph.poses[g]
+                groups.setdefault((arm, *np.round(T[:3, 2] * 4), *np.round(T[:3, 0] * 4)), []).append(
+                    _Candidate(arm, graph.grip(g))
+                )
+        found = 0
+        turns = (c for turn in itertools.zip_longest(*groups.values()) for c in turn if c is not None)
+        for candidate in itertools.islice(turns, LOOKED_AT * width):
+            if self._lines_in(k, candidate) and self.fetcher.picks_alone(view, view.source, candidate.arm, candidate.grip):
+                yield candidate
+                found += 1
+                if found == width:
+                    return
+
+    def _carried_candidate(self, k: int, view: View) -> Iterator[_Candidate]:
+        """The piece goes in by the grip that an arm has of it, if that is one of those that serve."""
+        assert view.carrying is not None
+        arm, grip = view.carrying
+        index, off, turned = self.fetcher.graph(view.piece).nearest(grip.T_piece_tcp)
+        if index in self.plan.steps[k].grasps and off < NEAREST and turned < STRAIGHTEST:
+            yield _Candidate(arm, grip)
+        else:
+            self.tracer.reject(view.piece, "it sits in the hand as no grasp for the goal has it")
+
+    def _clear_of_holders(self, k: int, state: State, indices: Indices) -> Mask:
+        """Whether the hand, swept along the insertion, keeps clear of placed pieces and of the hands that hold."""
+        step, graph = self.plan.steps[k], self.fetcher.graph(self.plan.steps[k].piece)
+        Ts, widths = self.workcell.goals[step.piece] @ graph.poses[indices], graph.widths[indices]
+        sweep = sweep_hand(self.hand, Ts, widths, way_out=0.0, sweep=-np.array(step.direction) * (step.way + RUN_IN))
+        obstacles = []
+        for name in state.placed:
+            parts = self.workcell.assembly.pieces[self.workcell.assembly.index(name)].parts
+            obstacles += [part.moved(self.workcell.goals[name]) for part in parts]
+        clear = np.asarray(sweep.separation(obstacles) > 0.0)
+        leaving = sweep_hand(self.hand, Ts, widths)
+        for T_world_tcp in state.grip.values():
+            holder = hand_hulls(self.hand, T_world_tcp, 0.03)
+            clear &= (sweep.separation(holder) > MARGIN) & (leaving.separation(holder) > MARGIN)
+        return clear
+
+    # --- one step ------------------------------------------------------------------------------------------------------
+
+    def _directly(self, k: int, state: State, view: View, candidate: _Candidate) -> Iterator[tuple[Assignment, State]]:
+        """The step without regrasps."""
+        if (k, candidate.arm, candidate.grip.index) in self.excluded:
+            return
+        for regrasps, pick in self.fetcher.chains(view, candidate.arm, candidate.grip, ()):
+            placing = self._placing(k, state, candidate)
+            if placing is not None:
+                yield self._assignment(k, view, placing, regrasps, pick), placing.after
+
+    def _placings(self, k: int, state: State, count: int) -> list[_Placing]:
+        """Ways to put the piece in its place, whatever brings it into the hand: of every direction one, best contact first."""
+        graph, indices = self.fetcher.graph(self.plan.steps[k].piece), self._chosen(k, state)
+        goal, found = self.workcell.settled[self.plan.steps[k].piece], []
+        turns = []
+        for arm in self._arms(k, state, self._view(k, state)):
+            cost = comfort(self.robot, arm, goal @ graph.poses[indices]) + 2 * (1 - graph.contact[indices])
+            turns.append([_Candidate(arm, graph.grip(g)) for g in spread(graph.poses, indices, cost)])
+        candidates = (c for turn in itertools.zip_longest(*turns) for c in turn if c is not None)
+        for candidate in itertools.islice(candidates, LOOKED_AT * count):
+            if (k, candidate.arm, candidate.grip.index) in self.excluded or not self._lines_in(k, candidate):
+                continue
+            placing = self._placing(k, state, candidate)
+            if placing is not None:
+                found.append(placing)
+                if len(found) == count:
+                    break
+        return found
+
+    def _placing(self, k: int, state: State, candidate: _Candidate) -> _Placing | None:
+        """Insertion and what follows it, or None with the reason counted."""
+        step, certificate = self.plan.steps[k], None
+        if any(hold.piece == step.piece and not hold.taken for hold in step.holds):
+            certificate = self.holding.certificate(k, step.piece, candidate.grip)
+            if certificate.margin < SMALLEST_MARGIN:
+                self.tracer.reject(step.piece, f"the hold would slip (margin below {SMALLEST_MARGIN:g})")
+                return None
+        hands = state.hands.gripping(candidate.arm, step.piece)
+        for line in self._lines_in(k, candidate):
+            if not self.tracer.free("insertion", self._inserter(k, hands, state.placed, candidate), line):
+                continue
+            changes = self.holding.changes(k, state, candidate.arm, candidate.grip, line[0], self._lying(k))
+            if changes is not None:
+                return _Placing(candidate, line[0], line[-1], certificate, *changes)
+            break
+        return None
+
+    def _lines_in(self, k: int, candidate: _Candidate) -> list[Array]:
+        """Insertions of all branches that are free of table, stand, pieces and the arm itself."""
+        memory = (k, candidate.arm, candidate.grip.T_piece_tcp.tobytes())
+        if memory not in self._insertions:
+            step, cell = self.plan.steps[k], self.workcell
+            T_goal = cell.settled[step.piece] @ candidate.grip.T_piece_tcp
+            placed = {s.piece: self._placed_pose(s.piece) for s in self.plan.steps[:k]}
+            mover = self._inserter(k, cell.idle().gripping(candidate.arm, step.piece), placed, candidate, alone=True)
+            solutions = self.robot.inverse(candidate.arm, T_goal, self.robot.home[candidate.arm])
+            if not len(solutions):
+                self.tracer.reject(step.piece, f"{self.robot.arm(candidate.arm).name} arm does not reach the goal")
+            away, length = -np.array(step.direction), step.way + RUN_IN
+            lines = [self.tracer.line("insertion", mover, q, T_goal, away, length) for q in solutions]
+            self._insertions[memory] = [line for line in lines if line is not None]
+        return self._insertions[memory]
+
+    def _guarded(self, k: int) -> float:
+        """How much of an insertion is slow and guarded [m]."""
+        if k not in self._slow:
+            step = self.plan.steps[k]
+            standing = {s.piece: self._placed_pose(s.piece) for s in self.plan.steps[:k]}
+            self._slow[k] = guarded_length(self.workcell, step.piece, np.array(step.direction), step.way + RUN_IN, standing)
+        return self._slow[k]
+
+    def _placed_pose(self, piece: str) -> Array:
+        early = piece in [s.piece for s in self.plan.steps[: self.first]]
+        return self.workcell.stands(piece, self.poses[piece]) if early else self.workcell.settled[piece]
+
+    def _inserter(self, k: int, hands: Hands, placed: dict[str, Array], candidate: _Candidate, alone: bool = False) -> Mover:
+        step = self.plan.steps[k]
+        meant = frozenset(pair for pair in self.workcell.touching if step.piece in pair)
+        carried = (step.piece, inverse(candidate.grip.T_piece_tcp))
+        poses = {**placed, **self._lying(k)}
+        scene = self.tracer.scene(("insertion", k), poses, hands, candidate.arm, carried, meant, alone)
+        return Mover(step.piece, candidate.arm, scene, hands, candidate.grip.width)
+
+    def _assignment(
+        self, k: int, view: View, placing: _Placing, regrasps: tuple[Regrasp, ...], pick: Pick | None
+    ) -> Assignment:
+        step, candidate = self.plan.steps[k], placing.candidate
+        if pick is not None:
+            opened, q_before, q_pick, q_lifted = pick.opened, pick.q_before, pick.q_pick, pick.q_lifted
+        elif regrasps and isinstance(regrasps[-1], HandOver):
+            opened, q_before, q_pick, q_lifted = np.nan, regrasps[-1].q_before, regrasps[-1].q_take, regrasps[-1].q_take
+        else:
+            assert self.start is not None
+            opened, q_before = np.nan, readonly(self.start.hands.qs[candidate.arm])
+            q_pick = q_lifted = q_before
+        return Assignment(
+            step=k, piece=step.piece, arm=candidate.arm, grasp=candidate.grip.index, width=candidate.grip.width,
+            opened=opened, regrasps=regrasps, in_hand=pick is None, q_before=q_before, q_pick=q_pick, q_lifted=q_lifted,
+            q_ready=readonly(placing.q_ready), q_goal=readonly(placing.q_goal), direction=readonly(step.direction),
+            length=step.way + RUN_IN, guarded=self._guarded(k),
+            holds={name: arm for arm, name in placing.after.hands.gripped.items()},
+            takes=placing.takes, releases=placing.releases, certificate=placing.certificate,
+        )  # fmt: skip
+
+
+def key(assignment: Assignment) -> tuple[object, ...]:
+    """What tells one way to do a step from the others: step, arm, grasp, then its regrasps."""
+    chain: list[object] = []
+    for regrasp in assignment.regrasps:
+        pick = None if isinstance(regrasp, Square) else regrasp.pick
+        chain += [regrasp.piece, regrasp.arm, pick.grasp if pick is not None else -1, whereabouts(regrasp)]
+    return assignment.step, assignment.arm, assignment.grasp, *chain
+
+
+def whereabouts(regrasp: Regrasp) -> bytes:
+    """Where a piece is left, or changes hands, or is squared."""
+    if isinstance(regrasp, PutDown):
+        return regrasp.pose_down.tobytes()
+    return (regrasp.q_grasp if isinstance(regrasp, Square) else regrasp.pose_met).tobytes()

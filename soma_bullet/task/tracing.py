@@ -1,0 +1,114 @@
+"""Straight lines of a hand in the scenes of a schedule's search; whatever is rejected is counted under its reason."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from soma_bullet.frames import Array
+from soma_bullet.motion.line import LineError, line_back
+from soma_bullet.robot.collision import Scene
+from soma_bullet.task.workcell import Hands, Workcell
+
+APPROACH = 0.06  # [m] straight approach to a grasp and retreat from it
+LIFT = 0.06  # [m] straight up from the table
+UP = np.array([0.0, 0.0, 1.0])
+
+
+class TooManyLines(Exception):
+    """A search has traced as many lines as it may."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grip:
+    """One grasp of a piece.
+
+    Attributes:
+        index: in the piece's table.
+        T_piece_tcp: (4, 4).
+        width: distance between the pads [m].
+        contact: fraction of the pad on the piece.
+    """
+
+    index: int
+    T_piece_tcp: Array
+    width: float
+    contact: float
+
+
+@dataclass(frozen=True, eq=False)
+class Mover:
+    """What moves along a line, and what it is about.
+
+    Attributes:
+        piece: name, for the reasons.
+        arm: index.
+        scene: what it must keep clear of.
+        hands: joints and openings of the rest.
+        width: distance between its own pads [m].
+    """
+
+    piece: str
+    arm: int
+    scene: Scene
+    hands: Hands
+    width: float
+
+
+class Tracer:
+    """Makes and checks lines, keeps scenes, counts rejections."""
+
+    def __init__(self, workcell: Workcell, rejections: Counter[str]):
+        self.workcell, self.robot, self.rejections = workcell, workcell.robot, rejections
+        self._scenes: dict[tuple[object, ...], Scene] = {}
+        self.lines, self.most_lines = 0, 10**9
+
+    def reject(self, piece: str, reason: str, count: int = 1) -> None:
+        """Count a rejection."""
+        self.rejections[f"{piece}: {reason}"] += count
+
+    def scene(
+        self, key: tuple[object, ...], poses: Mapping[str, Array], hands: Hands, arm: int,
+        carried: tuple[str, Array] | None = None, touching: frozenset[frozenset[str]] = frozenset(), alone: bool = False,
+    ) -> Scene:  # fmt: skip
+        """A scene, or the one made for the same key with the piece put differently into the hand.
+
+        The key stands for the poses and the touching pairs.
+        """
+        others = () if alone else tuple(sorted(hands.gripped.items()))
+        key = (*key, arm, others, alone)
+        if key not in self._scenes:
+            self._scenes[key] = self.workcell.scene(poses, hands, arm, carried, touching, alone)
+        elif carried is not None:
+            self._scenes[key].attach(carried[0], arm, carried[1])
+        return self._scenes[key]
+
+    def line(self, name: str, m: Mover, q: Array, T: Array, away: Array, length: float) -> Array | None:
+        """Joints (n, 6) of a free line from q at T, along the unit vector `away` (3,) for `length` [m]; None where none is."""
+        self.lines += 1
+        if self.lines > self.most_lines:
+            raise TooManyLines
+        collides = lambda p: m.scene.collides(self.workcell.configuration(m.hands, m.arm, p, m.width))  # noqa: E731
+        try:
+            return line_back(self.robot, m.arm, q, T, away, length, collides)
+        except LineError as error:
+            self._reject_line(name, m, error)
+            return None
+
+    def free(self, name: str, m: Mover, line: Array) -> bool:
+        """Whether the joints (n, 6) of a line are free."""
+        for q in line:
+            if m.scene.collides(self.workcell.configuration(m.hands, m.arm, q, m.width)):
+                self._reject_line(name, m, LineError("collision", 0.0, q))
+                return False
+        return True
+
+    def _reject_line(self, name: str, m: Mover, error: LineError) -> None:
+        if error.cause != "collision" or error.q is None:
+            self.reject(m.piece, f"{name}: {error.cause}")
+            return
+        pair = m.scene.first_collision(self.workcell.configuration(m.hands, m.arm, error.q, m.width))
+        self.reject(m.piece, f"{name}: {pair[0]} meets {pair[1]}" if pair else f"{name}: collision")
