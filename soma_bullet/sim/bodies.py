@@ -27,9 +27,7 @@ def write_piece_urdf(piece: Workpiece, folder: Path) -> Path:
     """A URDF of the real body. PyBullet caches files by name, so names carry a hash of their content."""
     moments, axes = np.linalg.eigh(piece.inertia)
     axes = axes * np.sign(np.linalg.det(axes))
-    shapes = "\n".join(
-        _collision(part if part.box is not None else unpadded(piece, part), folder) for part in collision_parts(piece)
-    )
+    shapes = "\n".join(_collision(piece, part, folder) for part in collision_parts(piece))
     text = f"""<robot name="{piece.name}">
  <link name="{piece.name}">
   <inertial>
