@@ -61,8 +61,9 @@ class _TooLong(Exception):
 
 @dataclass(frozen=True, eq=False)
 class _Trouble:
-    """What did not go as planned."""
+    """What did not go as planned: a segment of the program."""
 
+    index: int
     segment: Segment
     seen: Observation | None
     reason: str
@@ -113,9 +114,9 @@ class Executive:
                 return what
             again += 1
             try:
-
                 start = self._found(program, trouble)
-                program = recover_program(self.workcell, self.plan, start, self.program.seed + 101 * again)
+                seed, noise = self.program.seed + 101 * again, self.program.feed.noise
+                program = recover_program(self.workcell, self.plan, start, seed, noise)
                 program = overlapped(self.workcell, program) if self.together else program
             except NoSolutionError as error:
                 self._event("given up", piece, error.summary)
@@ -140,7 +141,7 @@ class Executive:
                     running[segment.arm] = (k, detour)
                     self.executor.begin(following)
                 except StopIteration as stop:
-                    trouble = self._after(program, segment, stop.value) or trouble
+                    trouble = self._after(program, k, segment, stop.value) or trouble
                     done.add(k)
             for arm, queue in waiting.items():
                 if not queue or trouble is not None or arm in running or not done.issuperset(program.after[queue[0]]):
@@ -148,7 +149,7 @@ class Executive:
                 try:
                     ready = self._ready(program, queue[0])
                 except NoSolutionError as error:
-                    trouble = _Trouble(program.segments[queue[0]], None, error.summary)
+                    trouble = _Trouble(queue[0], program.segments[queue[0]], None, error.summary)
                     continue
                 if ready is not None:
                     k = queue.pop(0)
@@ -212,10 +213,10 @@ class Executive:
         path = segment.path + ramp * (segment.compliance @ np.concatenate([shift, turn]))
         return replace(segment, path=readonly(joined(path, self.executor.world.measured_joints()[arm])))
 
-    def _after(self, program: Program, segment: Segment, seen: Observation) -> _Trouble | None:
+    def _after(self, program: Program, k: int, segment: Segment, seen: Observation) -> _Trouble | None:
         """Keep account of what is where; what went wrong, if anything."""
         if seen.outcome in ("jammed", "lost") and not self.ablate:
-            return _Trouble(segment, seen, f"{seen.outcome} in {segment.kind}")
+            return _Trouble(k, segment, seen, f"{seen.outcome} in {segment.kind}")
         if segment.kind == "grasp":
             self.gripped[segment.arm] = segment.piece
         elif segment.kind == "place":
@@ -254,7 +255,7 @@ class Executive:
         """The state to go on from, the hands clear of what they lost."""
         lost = trouble is not None and trouble.segment.arm in self._empty(trouble)
         if trouble is not None and lost:
-            self._withdraw(program, trouble.segment)
+            self._withdraw(program, trouble.index, trouble.segment)
         poses = self._look()
         fallen = self._fallen(poses)
         if fallen:
@@ -285,7 +286,7 @@ class Executive:
             return (trouble.segment.arm,)
         return ()
 
-    def _withdraw(self, program: Program, segment: Segment) -> None:
+    def _withdraw(self, program: Program, index: int, segment: Segment) -> None:
         """Open a hand that has nothing, and go back the way it came if it is at a grasp."""
         arm = segment.arm
         self.gripped.pop(arm, None)
@@ -294,7 +295,7 @@ class Executive:
         opened = max(opening, width) + 2 * OPENING
         self._now(replace(segment, kind="release", path=NO_PATH, opening=opened, duration=OPENING_TIME, guard=0.0))
         if segment.kind == "grasp":
-            approach = next(s for s in program.segments if (s.kind, s.arm, s.piece) == ("approach", arm, segment.piece))
+            approach = next(s for s in reversed(program.segments[:index]) if (s.kind, s.arm) == ("approach", arm))
             q = self.executor.world.measured_joints()[arm]
             back = readonly(joined(approach.path[::-1], q))
             self._now(replace(approach, kind="back_off", path=back, offset=-approach.offset, opening=np.nan))

@@ -1,4 +1,7 @@
-"""Time-optimal timing of a joint path within velocity and acceleration limits (toppra; H. Pham, Q.-C. Pham, T-RO 2018)."""
+"""Time-optimal timing of a joint path within velocity and acceleration limits.
+
+Along a straight edge it is in closed form, along all else by toppra (H. Pham, Q.-C. Pham, T-RO 2018).
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ import numpy as np
 from soma_bullet.frames import Array
 
 GRID = 300  # fewer grid points broke acceleration limits at corners
+STRAIGHT = 1e-9  # [rad, or m] off a line
 EXCESS = 1.02  # limits may be exceeded by this factor, from sampling
 LARGEST_STRETCH = 3.0  # a tight corner may slow a whole motion down by this
 
@@ -44,16 +48,20 @@ def time_path(
     Raises:
         TimingError
     """
-    import toppra
-    from toppra import algorithm
-
-    toppra.setup_logging("ERROR")
     if len(path) < 2 or np.abs(path[-1] - path[0]).max() < 1e-9 and np.abs(path - path[0]).max() < 1e-9:
         return np.array(path[-1:])
     points, vmax, amax = path, velocity, acceleration
     if travel is not None and hand is not None:
         points = np.column_stack([path, travel])
         vmax, amax = np.append(velocity, hand.speed), np.append(acceleration, hand.acceleration)
+    if _straight(points):
+        samples = _trapezoid(points[0], points[-1], vmax, amax, dt)[:, : path.shape[1]]
+        samples[0], samples[-1] = path[0], path[-1]
+        return samples
+    import toppra
+    from toppra import algorithm
+
+    toppra.setup_logging("ERROR")
     arc = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     keep = np.concatenate([[True], np.diff(arc) > 1e-9])
     spline = toppra.SplineInterpolator(arc[keep] / arc[-1], points[keep], bc_type="natural")
@@ -75,6 +83,32 @@ def time_path(
     samples = timed.positions(times)[:, : path.shape[1]]
     samples[0], samples[-1] = path[0], path[-1]
     return samples
+
+
+def _straight(points: Array) -> bool:
+    """Whether points (n, j) follow one another along the line from the first to the last."""
+    whole = points[-1] - points[0]
+    squared = float(whole @ whole)
+    if squared < 1e-18:
+        return False
+    along = (points - points[0]) @ whole / squared
+    return bool(np.diff(along).min() >= -1e-12 and np.abs(points - points[0] - along[:, None] * whole).max() < STRAIGHT)
+
+
+def _trapezoid(start: Array, end: Array, velocity: Array, acceleration: Array, dt: float) -> Array:
+    """Samples (n, j) of the fastest motion along the line between two points (j,): at once up to speed, and down again."""
+    whole = np.abs(end - start)
+    moves = whole > 0
+    speed = float((velocity[moves] / whole[moves]).min())  # [1/s] of the place from 0 to 1
+    rate = float((acceleration[moves] / whole[moves]).min())  # [1/s2]
+    speed = min(speed, float(np.sqrt(rate)))
+    rise, duration = speed / rate, 1.0 / speed + speed / rate  # [s]
+    steps = max(1, int(np.ceil(duration / dt)))
+    times = np.linspace(0, duration, steps + 1)  # slower by less than one step
+    early = np.minimum(times, duration - times)
+    place = np.where(early < rise, 0.5 * rate * early**2, speed * (early - 0.5 * rise))
+    place = np.where(times > duration / 2, 1.0 - place, place)
+    return np.asarray(start + (end - start) * place[:, None])
 
 
 @lru_cache(maxsize=32)

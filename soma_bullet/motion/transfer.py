@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from soma_bullet.frames import Array
+from soma_bullet.frames import Array, readonly
 
 EDGE_STEP = 0.02  # [rad] largest joint step between checked states
 SHORTCUTS = 40  # attempts
@@ -48,9 +49,14 @@ class TransferOptions:
 def edge_free(start: Array, end: Array, collides: Check, step: float = EDGE_STEP) -> bool:
     """Whether the straight joint edge between two configurations (6,) is free; its start is taken as checked."""
     count = max(1, int(np.ceil(np.abs(end - start).max() / step)))
-    # far halves first: a blocked edge is found sooner
+    return not any(collides(q) for q in start + (end - start) * _far_halves_first(count))
+
+
+@lru_cache(maxsize=1024)
+def _far_halves_first(count: int) -> Array:
+    """Places (count, 1) of the states along an edge, in an order in which a blocked edge is found soon."""
     order = sorted(range(1, count + 1), key=lambda k: k & -k, reverse=True)
-    return not any(collides(start + (end - start) * (k / count)) for k in order)
+    return readonly(np.array(order)[:, None] / count)
 
 
 def plan_transfer(start: Array, goals: Array, lower: Array, upper: Array, collides: Check, options: TransferOptions) -> Array:

@@ -7,6 +7,7 @@ Bodies are called by their link (`left_palm`, `table`, `stand`) or by their piec
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 
 import coal
@@ -20,6 +21,7 @@ from soma_bullet.robot.kinematics import Robot
 MARGIN = 5e-3  # [m] kept to the links of an arm: the simulator's convex hulls stand out by up to 1 mm each
 HAND_MARGIN = 2e-3  # [m] kept between hands, pieces, table and stand, which are boxes or exact hulls
 NEAR_MARGIN = 5e-4  # [m] kept between a hand or what it carries and pieces: the hand works among them
+STRAIGHT = 1e-9  # [m] a finger that slides by no more across the edges of its box sweeps a box
 TOUCH_MARGIN = -5e-5  # [m] bodies that are meant to touch may overlap by this
 
 
@@ -112,7 +114,7 @@ class Scene:
         self._tcp_joint = [self.robot.model.frames[f].parentJoint for f in self.robot._tcp_frames]
         self._tcp_place = [self.robot.model.frames[f].placement for f in self.robot._tcp_frames]
         self.geometry.removeAllCollisionPairs()
-        self._broad_phase: pin.BroadPhaseManager_DynamicAABBTreeCollisionManager | None = None
+        self._broad_phase: pin.BroadPhaseManager_NaiveCollisionManager | None = None
         for name, pose in situation.poses.items():
             self._place(name, 0, pin.SE3(np.array(pose)))
         for name, (arm, T_tcp_piece) in situation.carried.items():
@@ -124,11 +126,31 @@ class Scene:
                 self.geometry.addCollisionPair(pin.CollisionPair(a, b))
                 margins.append(margin)
         self.data = self.robot.model.createData()
+        self._margins = np.array(margins)
+        self._prepare()
+
+    def _prepare(self) -> None:
+        """Make ready for the shapes and the pairs as they are."""
+        self._broad_phase = None
         self.geometry_data = self.geometry.createData()
-        for request, margin in zip(self.geometry_data.collisionRequests, margins, strict=True):
+        for request, margin in zip(self.geometry_data.collisionRequests, self._margins.tolist(), strict=True):
             request.security_margin = margin
             request.num_max_contacts = 1
-        self._margins = np.array(margins)
+
+    def swept(self, arm: int, travel: float) -> Scene:
+        """The same scene with an arm's fingers as the space that they sweep while each opens by `travel` [m].
+
+        Its configurations have the hand as wide as where it begins: one check stands for all widths of the way.
+        """
+        other = copy(self)
+        other.geometry = self.geometry.copy()
+        axes = self.robot.finger_axes(arm)
+        for shape in other.geometry.geometryObjects:
+            if shape.parentJoint in axes:
+                shape.geometry, shape.placement = _swept(shape.geometry, shape.placement, axes[shape.parentJoint] * travel)
+        other.data = self.robot.model.createData()
+        other._prepare()
+        return other
 
     def attach(self, piece: str, arm: int, T_tcp_piece: Array) -> None:
         """Put a piece between the fingers of an arm's hand at T_tcp_piece (4, 4)."""
@@ -193,7 +215,8 @@ class Scene:
     def collides(self, configuration: Array) -> bool:
         """Whether anything that moves comes nearer than its margin to anything else."""
         if self._broad_phase is None:
-            self._broad_phase = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(
+            # with some fifty shapes that nearly all move, to compare all boxes is faster than to keep a tree of them
+            self._broad_phase = pin.BroadPhaseManager_NaiveCollisionManager(
                 self.robot.model, self.geometry, self.geometry_data
             )
         return bool(pin.computeCollisions(self.robot.model, self.data, self._broad_phase, configuration, True))
@@ -216,3 +239,19 @@ class Scene:
             names = (self.collision_model.bodies[pair.first], self.collision_model.bodies[pair.second])
             found[names] = min(found.get(names, np.inf), float(distances[k]))
         return sorted(((a, b, d) for (a, b), d in found.items()), key=lambda item: item[2])
+
+
+def _swept(shape: coal.CollisionGeometry, place: pin.SE3, offset: Array) -> tuple[coal.CollisionGeometry, pin.SE3]:
+    """What a box or a convex body at `place` sweeps when it is shifted by `offset` (3,) [m], and where that is."""
+    along = np.array(place.rotation).T @ offset
+    if isinstance(shape, coal.Box):
+        half = np.array(shape.halfSide)
+        if np.count_nonzero(np.abs(along) > STRAIGHT) <= 1:
+            return coal.Box(*(2 * half + np.abs(along))), pin.SE3(place.rotation, place.translation + offset / 2)
+        corners = half * (2 * np.indices((2, 2, 2)).reshape(3, -1).T - 1.0)
+    else:
+        corners = np.array(shape.points())
+    points = coal.StdVec_Vec3s()
+    for point in np.vstack([corners, corners + along]):
+        points.append(point)
+    return coal.Convex.convexHull(points, True, "Qt"), pin.SE3(place)

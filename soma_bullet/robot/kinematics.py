@@ -70,6 +70,19 @@ class Robot:
         """Where one arm's joints stand in pinocchio's vector."""
         return self._arm_slots[arm]
 
+    def finger_axes(self, arm: int) -> dict[int, Array]:
+        """For every finger pinocchio's joint, and the unit vector (3,) along which it opens, seen from that joint."""
+        found = {}
+        for name, slot in zip(self.arm(arm).finger_joints, self._finger_slots[arm], strict=True):
+            joint, ends = self.model.getJointId(name), []
+            for value in (0.0, 1.0):
+                full = np.zeros(self.model.nq)
+                full[slot] = value
+                pin.forwardKinematics(self.model, self.data, full)
+                ends.append(np.array(self.data.oMi[joint].translation))
+            found[int(joint)] = np.array(self.data.oMi[joint].rotation).T @ (ends[1] - ends[0])
+        return found
+
     def tcp(self, arm: int, q: Array) -> Array:
         """T_world_tcp (4, 4) of one arm at its joints (6,)."""
         full = np.zeros(self.model.nq)

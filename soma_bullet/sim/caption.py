@@ -17,7 +17,8 @@ from soma_bullet.sim.log import ExecutionLog, SegmentRecord
 
 PHASES = {
     "transit": "pick", "approach": "pick", "grasp": "pick", "lift": "pick", "transfer": "bring",
-    "insert": "insert", "place": "insert", "settle": "insert", "release": "release", "retreat": "release",
+    "insert": "insert", "place": "insert", "back_off": "insert", "lower": "put down", "set_down": "put down",
+    "release": "release", "retreat": "release",
 }  # fmt: skip
 FAILURES = {"jammed": "{piece} jams", "lost": "{piece} is not between the fingers"}
 
@@ -37,7 +38,7 @@ class Phase:
     """Neighbouring segments that are one action to a viewer.
 
     Attributes:
-        kind: `pick`, `bring`, `insert`, `release`, or the kind of its segments where that is none of them.
+        kind: `pick`, `bring`, `insert`, `put down`, `release`, or the kind of its segments where that is none of them.
         start, end: [s] of simulated time.
     """
 
@@ -62,21 +63,31 @@ class Phase:
 
 
 def phases(log: ExecutionLog) -> tuple[Phase, ...]:
-    """The phases of an episode, in order."""
-    groups = groupby(log.segments, key=lambda s: (str(PHASES.get(s.kind, s.kind)), s.arm, s.piece))
-    return tuple(Phase(kind, arm, piece, tuple(segments)) for (kind, arm, piece), segments in groups)
+    """The phases of an episode in the order in which they begin; those of different arms may overlap."""
+    found = []
+    for arm in dict.fromkeys(segment.arm for segment in log.segments):
+        kinds: list[str] = []
+        mine = [segment for segment in log.segments if segment.arm == arm]
+        for segment in mine:
+            settles = segment.kind == "settle" and kinds
+            kinds.append(kinds[-1] if settles else PHASES.get(segment.kind, segment.kind))
+        for (kind, piece), group in groupby(zip(kinds, mine, strict=True), key=lambda item: (item[0], item[1].piece)):
+            found.append(Phase(kind, arm, piece, tuple(segment for _, segment in group)))
+    return tuple(sorted(found, key=lambda phase: phase.start))
 
 
 def holds(log: ExecutionLog, time: float) -> tuple[tuple[str, str], ...]:
     """(arm, piece) of every hand that holds a placed piece at `time` [s]: from its settling until the hand lets go."""
-    held = {}
-    for segment in log.segments:
+    held: dict[str, str] = {}
+    last: dict[str, str] = {}
+    for segment in sorted(log.segments, key=lambda s: s.start):
         if segment.start > time:
             break
-        if segment.kind == "settle":
+        if segment.kind == "settle" and last.get(segment.arm) != "set_down":
             held[segment.arm] = segment.piece
         elif segment.kind in ("release", "ablation"):
             held.pop(segment.arm, None)
+        last[segment.arm] = segment.kind
     return tuple(sorted(held.items()))
 
 
@@ -86,7 +97,8 @@ def says(phase: Phase) -> str:
     if phase.kind == "insert":
         return f"{arm} inserts {piece} along {vector(phase.direction)}"
     return {
-        "pick": f"{arm}: pick {piece} from the feed",
+        "pick": f"{arm} takes {piece}",
+        "put down": f"{arm} puts {piece} down the other way",
         "bring": f"{arm} brings {piece}",
         "release": f"{arm} lets go of {piece}",
         "ablation": f"ablation: {arm} lets go of {piece}",

@@ -91,6 +91,7 @@ def views(log: ExecutionLog, assembly: Assembly, speed: float) -> list[View]:
         elif phase.kind == "insert":
             slow = next((s for s in phase.segments if s.kind == "place"), phase.segments[0])
             found.append(_view("insert", log, assembly, phase, (slow.start, phase.end), speed))
+    found = _one_at_a_time(found)
     last = float(log.times[-1])
     built = [name for name in assembly.names if _is_there(log, assembly, name, last)]
     surfaces = [_surface(log, assembly, last, name) for name in built] or [_goal(log, assembly, n) for n in assembly.names]
@@ -99,6 +100,15 @@ def views(log: ExecutionLog, assembly: Assembly, speed: float) -> list[View]:
     times = (*np.linspace(max(home - 2.0, 0.0), home, 4).tolist(), last)  # the arms leave the picture without crossing it
     points = np.concatenate((points, points * (1, 1, 0.82)))  # the foot of the stand is worth seeing as well
     return [*found, View("end", home / speed, last / speed + HOLD, times, points, assembly.names, np.zeros(3))]
+
+
+def _one_at_a_time(found: list[View]) -> list[View]:
+    """Views that do not overlap: insertions first, then picks."""
+    kept: list[View] = []
+    for view in sorted(found, key=lambda v: (v.kind != "insert", v.start)):
+        if all(view.end <= other.start or other.end <= view.start for other in kept):
+            kept.append(view)
+    return sorted(kept, key=lambda v: v.start)
 
 
 def _view(kind: str, log: ExecutionLog, assembly: Assembly, phase: Phase, span: tuple[float, float], speed: float) -> View:

@@ -14,7 +14,7 @@ from soma_bullet.robot.collision import Scene
 from soma_bullet.task.segments import DT, PLACE, SPEEDS, THREADING, Kind
 from soma_bullet.task.workcell import Hands, Workcell
 
-CHECK_EVERY = 0.010  # [s] between collision checks on the timed trajectory
+CHECK_EVERY = 0.010  # [s] between collision checks on a timed line
 FINGER_STEP = 0.004  # [m] of one finger; none is thinner
 EDGE_STEPS = (0.02, 0.004, 0.004, 0.004, 0.004)  # [rad] between checked states of an edge, one for each attempt
 SHORTEST = 1e-4  # [m] of a line that is worth a motion of its own
@@ -36,9 +36,9 @@ def plan_motion(
     widths: Array,
     seed: int,
     checks: int = TransferOptions().checks,
-    forbidden: Callable[[Array], bool] = lambda q: False,
+    forbidden: Callable[[Array], bool] | None = None,
 ) -> Array:
-    """Timed joints (n, 6) around obstacles, free at every one of the hand's widths [m].
+    """Timed joints (n, 6) around obstacles, free at all of the hand's widths [m] from the least to the greatest.
 
     Args:
         checks: of a state, after which the search gives up.
@@ -49,23 +49,35 @@ def plan_motion(
     """
     limits = workcell.robot.arm(arm)
     gentle = CARRYING if scene.situation.carried else 1.0
-
-    def collides(q: Array) -> bool:
-        return forbidden(q) or any(scene.collides(workcell.configuration(hands, arm, q, width)) for width in widths)
-
+    hits = collisions(workcell, scene, hands, arm, widths)
+    collides = hits if forbidden is None else lambda q: forbidden(q) or hits(q)
     for attempt, step in enumerate(EDGE_STEPS):
         options = TransferOptions(checks, seed + 7919 * attempt, step)
         waypoints = plan_transfer(start, np.array([goal]), limits.lower, limits.upper, collides, options)
         dense = blend_corners(waypoints, collides)
         samples = time_path(dense, gentle * limits.velocity, gentle * limits.acceleration, DT)
         try:
-            check(samples, collides)
+            # the states of a straight edge have been checked, but not those between them; what is bent is all new
+            check(halved(dense)[1::2] if len(waypoints) == 2 else halved(dense), collides)
         except TimingError:
             if attempt + 1 == len(EDGE_STEPS):
                 raise
             continue  # it grazes something between two checked states: look more closely, and elsewhere
         break
     return samples
+
+
+def collisions(workcell: Workcell, scene: Scene, hands: Hands, arm: int, widths: Array) -> Callable[[Array], bool]:
+    """Whether an arm collides at joints (6,) at any width of its hand from the least to the greatest of `widths` [m]."""
+    narrow, wide = float(np.min(widths)), float(np.max(widths))
+    seen = scene if wide == narrow else scene.swept(arm, (wide - narrow) / 2)
+    configuration, slots = workcell.configuration(hands, arm, hands.qs[arm], narrow), workcell.robot.arm_slots(arm)
+
+    def collides(q: Array) -> bool:
+        configuration[slots] = q
+        return seen.collides(configuration)
+
+    return collides
 
 
 def line_motion(
@@ -75,7 +87,8 @@ def line_motion(
     path, travel = sample_line(workcell.robot, arm, start, offset)
     joints = workcell.robot.arm(arm)
     samples = time_path(path, joints.velocity, joints.acceleration, DT, travel, limits)
-    check(samples, lambda q: scene.collides(workcell.configuration(hands, arm, q)))
+    widths = hands.openings[arm : arm + 1]
+    check(thinned(samples), collisions(workcell, scene, hands, arm, widths))
     return samples
 
 
@@ -92,12 +105,22 @@ def straight_motion(
     return np.vstack([threading, placing[1:]])
 
 
-def check(samples: Array, collides: Callable[[Array], bool]) -> None:
-    """Raise TimingError where timed joints (n, 6) collide."""
-    stride = max(1, int(CHECK_EVERY / DT))
-    for q in [*samples[::stride], samples[-1]]:
-        if collides(q):
-            raise TimingError("the timed trajectory collides")
+def check(path: Array, collides: Callable[[Array], bool]) -> None:
+    """Raise TimingError where joints (n, 6) along a path collide."""
+    if any(collides(q) for q in path):
+        raise TimingError("the trajectory collides")
+
+
+def thinned(samples: Array) -> Array:
+    """Timed joints (n, 6) every CHECK_EVERY, and the last."""
+    return np.vstack([samples[:: max(1, int(CHECK_EVERY / DT))], samples[-1:]])
+
+
+def halved(path: Array) -> Array:
+    """A path (n, 6) with the middle of every step between its points (2 n - 1, 6)."""
+    fine = np.repeat(path, 2, axis=0)[:-1]
+    fine[1::2] = (path[:-1] + path[1:]) / 2
+    return fine
 
 
 def joined(path: Array, q: Array) -> Array:

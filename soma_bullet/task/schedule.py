@@ -15,10 +15,12 @@ from soma_bullet.task.assignments import Assignment, PutDown, Regrasp, Schedule,
 from soma_bullet.task.feed import Feed, serving_grasps
 from soma_bullet.task.search import Search, key, whereabouts
 from soma_bullet.task.squaring import square_key
+from soma_bullet.task.tracing import Effort, TooManyLines
 from soma_bullet.task.workcell import Workcell
 
 # candidates a step and lines of hands in each round: broad and shallow before deep
 ROUNDS = ((8, 1000), (12, 1500), (24, 4000), (72, 8000), (1_000_000, 16_000))
+MOST_LINES = 24_000  # of hands made or checked in all rounds together, about 20 s; schedules were found with 20,300 at most
 
 
 class Scheduler:
@@ -28,22 +30,35 @@ class Scheduler:
         self.workcell, self.plan, self.feed, self.start = workcell, plan, feed, start
         self.rejections: Counter[str] = Counter()
         self.excluded: set[tuple[object, ...]] = set()
+        self._effort = Effort()
         self._searches: dict[tuple[int, ...], Search | None] = {}
 
     def find(self) -> Schedule:
         """The first schedule. Raises NoSolutionError with what blocked, most frequent first."""
+        self._effort.most = self._effort.lines + MOST_LINES
+        try:
+            found = self._find()
+        except TooManyLines:
+            found = None
+        if found is None:
+            raise NoSolutionError(
+                "schedule", f"no arm and grasp serve every step of {' <- '.join(self.plan.order)}", self.rejections
+            )
+        return found
+
+    def _find(self) -> Schedule | None:
         for width, lines in ROUNDS:
             tried: list[tuple[int, ...]] = []
             while (prepared := self._next(tried)) is not None:
+                if self._effort.spent:
+                    return None
                 tried.append(prepared)
                 search = self._search(prepared)
                 found = search.find(width, lines) if search is not None else None
                 if search is not None and found is not None:
                     rejections = dict((+self.rejections).most_common())
                     return Schedule(found, rejections, search.takes, search.releases)
-        raise NoSolutionError(
-            "schedule", f"no arm and grasp serve every step of {' <- '.join(self.plan.order)}", self.rejections
-        )
+        return None
 
     def rule_out(self, assignment: Assignment, regrasp: Regrasp | None) -> None:
         """Exclude what a later stage could not make: the way to regrasp where that is to blame, else the arm and grasp."""
@@ -95,7 +110,9 @@ class Scheduler:
     def _make(self, prepared: tuple[int, ...]) -> Search | None:
         if not prepared:
             poses = {name: self.feed.pose(name) for name in self.feed.names}
-            return Search(self.workcell, self.plan, self.feed, poses, self.start, self.rejections, self.excluded)
+            return Search(
+                self.workcell, self.plan, self.feed, poses, self.start, self.rejections, self.excluded, self._effort
+            )  # fmt: skip
         before = self._search(prepared[:-1])
         if before is None or before.carried is not None:
             return None
@@ -104,7 +121,8 @@ class Scheduler:
             if _way(prologue) not in self.excluded and isinstance(last, PutDown):
                 poses = {**before.poses, last.piece: last.pose_down}
                 return Search(
-                    self.workcell, self.plan, self.feed, poses, self.start, self.rejections, self.excluded, prologue
+                    self.workcell, self.plan, self.feed, poses, self.start, self.rejections, self.excluded, self._effort,
+                    prologue,
                 )  # fmt: skip
         return None
 

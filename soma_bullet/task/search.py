@@ -26,7 +26,7 @@ from soma_bullet.task.fetch import CHAINS, Action, Fetcher, View
 from soma_bullet.task.guarded import guarded_length
 from soma_bullet.task.holding import SMALLEST_MARGIN, Holding, State
 from soma_bullet.task.spots import comfort, spread
-from soma_bullet.task.tracing import Grip, Mover, TooManyLines, Tracer
+from soma_bullet.task.tracing import Effort, Grip, Mover, TooManyLines, Tracer
 from soma_bullet.task.workcell import Hands, Workcell
 
 RUN_IN = 0.012  # [m] of insertion beyond the piece's own size
@@ -69,12 +69,13 @@ class Search:
 
     def __init__(
         self, workcell: Workcell, plan: AssemblyPlan, feed: Feed, poses: dict[str, Array], start: Start | None,
-        rejections: Counter[str], excluded: set[tuple[object, ...]], prologue: tuple[Regrasp, ...] = (),
+        rejections: Counter[str], excluded: set[tuple[object, ...]], effort: Effort,
+        prologue: tuple[Regrasp, ...] = (),
     ):  # fmt: skip
         self.workcell, self.plan, self.start = workcell, plan, start
         self.robot = workcell.robot
         self.rejections, self.excluded = rejections, excluded
-        self.tracer = Tracer(workcell, self.rejections)
+        self.tracer = Tracer(workcell, self.rejections, effort)
         self.fetcher = Fetcher(self.tracer, plan, feed, excluded)
         self.hand = self.fetcher.hand
         self.holding = Holding(self.tracer, plan, self.fetcher)

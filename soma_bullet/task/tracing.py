@@ -22,6 +22,19 @@ class TooManyLines(Exception):
     """A search has traced as many lines as it may."""
 
 
+@dataclass
+class Effort:
+    """What the searches of one schedule have done together: lines made or checked so far, and how many there may be at most."""
+
+    lines: int = 0
+    most: int = 10**9
+
+    @property
+    def spent(self) -> bool:
+        """Whether there may be no more."""
+        return self.lines >= self.most
+
+
 @dataclass(frozen=True, eq=False)
 class Grip:
     """One grasp of a piece.
@@ -61,7 +74,8 @@ class Mover:
 class Tracer:
     """Makes and checks lines, keeps scenes, counts rejections."""
 
-    def __init__(self, workcell: Workcell, rejections: Counter[str]):
+    def __init__(self, workcell: Workcell, rejections: Counter[str], effort: Effort | None = None):
+        self.effort = effort or Effort()
         self.workcell, self.robot, self.rejections = workcell, workcell.robot, rejections
         self._scenes: dict[tuple[object, ...], Scene] = {}
         self.lines, self.most_lines = 0, 10**9
@@ -88,9 +102,10 @@ class Tracer:
 
     def line(self, name: str, m: Mover, q: Array, T: Array, away: Array, length: float) -> Array | None:
         """Joints (n, 6) of a free line from q at T, along the unit vector `away` (3,) for `length` [m]; None where none is."""
-        self.lines += 1
-        if self.lines > self.most_lines:
+        if self.lines >= self.most_lines or self.effort.spent:
             raise TooManyLines
+        self.lines += 1
+        self.effort.lines += 1
         collides = lambda p: m.scene.collides(self.workcell.configuration(m.hands, m.arm, p, m.width))  # noqa: E731
         try:
             return line_back(self.robot, m.arm, q, T, away, length, collides)
@@ -100,6 +115,9 @@ class Tracer:
 
     def free(self, name: str, m: Mover, line: Array) -> bool:
         """Whether the joints (n, 6) of a line are free."""
+        if self.effort.spent:
+            raise TooManyLines
+        self.effort.lines += 1
         for q in line:
             if m.scene.collides(self.workcell.configuration(m.hands, m.arm, q, m.width)):
                 self._reject_line(name, m, LineError("collision", 0.0, q))

@@ -104,6 +104,19 @@ def test_phases_join_what_a_viewer_sees_as_one(log: ExecutionLog) -> None:
     np.testing.assert_allclose(phases(log)[2].direction, np.array((0, 1, -1)) / np.sqrt(2))
 
 
+def test_phases_of_two_arms_may_overlap(log: ExecutionLog) -> None:
+    """Segments stand in the log in the order in which they end."""
+    mixed = replace(log, segments=tuple(sorted(log.segments, key=lambda s: (s.arm, s.end))))
+    assert phases(mixed) == phases(log)
+
+
+def test_a_piece_that_is_put_down_is_not_held(cell: Cell, assembly: Assembly) -> None:
+    down = (("lower", 0, "right", "Z", 0.5, ""), ("set_down", 0, "right", "Z", 1.0, ""), ("settle", 0, "right", "Z", 0.2, ""))
+    log = made_log(cell, assembly, (*EPISODE[:5], *down, *EPISODE[-1:]))
+    assert ("put down", "right", "Z") in [(p.kind, p.arm, p.piece) for p in phases(log)]
+    assert all(holds(log, float(time)) == () for time in log.times)
+
+
 def test_a_hold_lasts_from_settling_to_release(log: ExecutionLog) -> None:
     settle, release = (next(s for s in log.segments if (s.kind, s.piece) == (kind, "Z")) for kind in ("settle", "release"))
     assert holds(log, settle.start - 0.01) == ()
@@ -115,8 +128,8 @@ def test_a_hold_lasts_from_settling_to_release(log: ExecutionLog) -> None:
 def test_words_of_an_episode(log: ExecutionLog) -> None:
     words = [line for _, line, _ in narration(log, 0.0)]
     assert words == [
-        "right: pick Z from the feed", "right brings Z", "right inserts Z along (0, 0.71, −0.71)",
-        "left: pick BigL from the feed", "left brings BigL", "left inserts BigL along (0, 0.71, −0.71)",
+        "right takes Z", "right brings Z", "right inserts Z along (0, 0.71, −0.71)",
+        "left takes BigL", "left brings BigL", "left inserts BigL along (0, 0.71, −0.71)",
         "right lets go of Z", "left lets go of BigL", "right goes home", "settling",
     ]  # fmt: skip
 

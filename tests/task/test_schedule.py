@@ -138,3 +138,20 @@ def test_a_piece_out_of_reach(workcell: Workcell, plan: AssemblyPlan, feed: Feed
     assert {"BigL: left arm does not reach the feed", "BigL: right arm does not reach the feed"} <= reasons
     assert caught.value.stage == "schedule"
     assert "does not reach the feed" in str(caught.value)
+
+
+def test_a_search_without_success_ends(
+    workcell: Workcell, plan: AssemblyPlan, feed: Feed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After a certain count of lines, the same each time."""
+    from soma_bullet.task import schedule, search
+
+    monkeypatch.setattr(search.Search, "_placing", lambda self, k, state, candidate: None)
+    monkeypatch.setattr(schedule, "MOST_LINES", 150)
+    counts = []
+    for _ in range(2):
+        scheduler = Scheduler(workcell, plan, feed)
+        with pytest.raises(NoSolutionError):
+            scheduler.find()
+        counts.append((scheduler._effort.lines, dict(scheduler.rejections)))
+    assert counts[0] == counts[1] and counts[0][0] <= 150
