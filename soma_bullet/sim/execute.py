@@ -6,7 +6,7 @@ generator: it commands, yields until the step is done, measures, and commands ag
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,6 +26,7 @@ FILTER = 4  # samples of the force that are averaged
 JAM = 1e-3  # [m] a guarded motion that stops farther from its end is jammed
 EMPTY = 2e-3  # [m] pads nearer to each other than a piece's width less this hold nothing
 WATCH = 5  # samples between looks at the width of a hand that carries
+FALL, LOWERING = 1e-3, 8e-3  # [m], [m/s] of the last way straight down
 SLOW = 0.25  # [s] over which a guided motion takes up its speed again
 FINAL_SETTLE = 2.0  # [s] after both hands have let go
 
@@ -227,22 +228,56 @@ class Executor:
                 return
 
     def _guided(self, segment: Segment, motion: _Motion, compliance: Compliance) -> Steps:
-        """Feed a path as far as the wrist's force allows, and aside as it asks; see Guide."""
+        """Feed a path as far as the wrist's force allows, and aside as it asks; see Guide.
+
+        A piece that comes in at a slant stays FALL above its path and comes down straight at the end: it then meets what
+        carries it without pushing it aside.
+        """
+        path, length = segment.path, float(np.linalg.norm(segment.offset))
+        along = segment.offset / length
+        slanted = -0.98 < along[2] < -0.2
+        tare = yield from self._mean_force(segment.arm)
+
+        def place(at: float, guide: Guide) -> Array:
+            whole = min(int(at), len(path) - 2)
+            nominal = path[whole] + (at - whole) * (path[whole + 1] - path[whole])
+            fall = FALL * min(1.0, 3.0 * at / (len(path) - 1)) * slanted
+            return nominal + segment.compliance[:, :3] @ (guide.offset + (0.0, 0.0, fall))
+
+        def left(at: float) -> float:
+            return length * _fraction_left(path, at)
+
+        guide = Guide(along, compliance)
+        yield from self._feel(segment, motion, guide, tare, (0.0, len(path) - 1.0), 1.0, place, left)
+        if not slanted or motion.outcome == "jammed":
+            return
+        end = place(len(path) - 1.0, guide)
+        guide = Guide(np.array((0.0, 0.0, -1.0)), compliance)
+        motion.outcome, steps = "as planned", FALL / (LOWERING * DT)
+        down = segment.compliance[:, 2]
+        yield from self._feel(
+            segment, motion, guide, tare, (0.0, steps), 1.0,
+            lambda at, g: end - down * (FALL * at / steps) + segment.compliance[:, :3] @ g.offset,
+            lambda at: FALL * (1.0 - at / steps),
+        )  # fmt: skip
+
+    def _feel(
+        self, segment: Segment, motion: _Motion, guide: Guide, tare: Array, span: tuple[float, float], pace: float,
+        place: Callable[[float, Guide], Array], left: Callable[[float], float],
+    ) -> Steps:  # fmt: skip
+        """Go from one end of a span to the other as the guide allows; `place` gives joints, `left` what is left [m]."""
         world, arm = self.world, segment.arm
-        length = float(np.linalg.norm(segment.offset))
-        tare = yield from self._mean_force(arm)
-        guide = Guide(segment.offset / length, compliance)
+        at, last = span
         recent: list[Array] = []
-        last, at, pace = len(segment.path) - 1, 0.0, 1.0
         while at < last:
             speed = 1.0
             if len(recent) == FILTER:
                 sensed = np.mean(recent, axis=0) - tare
-                motion.peak = max(motion.peak, float(np.linalg.norm(sensed)))
+                force = float(np.linalg.norm(sensed))
+                motion.peak = max(motion.peak, force)
                 motion.force = -world.tcp_pose(arm)[:3, :3] @ sensed  # the joint reports the reaction
-                resistance = -float(motion.force @ guide.direction)
-                motion.remaining = length * _fraction_left(segment.path, at)
-                if resistance > segment.guard and motion.remaining <= JAM:
+                motion.remaining = left(at)
+                if motion.remaining <= JAM and force > segment.guard and float(motion.force @ guide.direction) < 0.0:
                     motion.outcome = "stopped early"
                     return
                 speed = guide.update(motion.force, DT)
@@ -250,10 +285,8 @@ class Executor:
                     motion.outcome, motion.reason = "jammed", guide.failed
                     return
             pace = min(speed, pace + DT / SLOW)
-            at = float(np.clip(at + pace, 0.0, last))
-            whole = min(int(at), last - 1)
-            q = segment.path[whole] + (at - whole) * (segment.path[whole + 1] - segment.path[whole])
-            world.command_arm(arm, q + segment.compliance[:, :3] @ guide.offset)
+            at = float(np.clip(at + pace, span[0], last))
+            world.command_arm(arm, place(at, guide))
             yield
             recent = [*recent[1 - FILTER :], world.wrench(arm)[:3]]
         motion.remaining = 0.0
