@@ -61,7 +61,8 @@ class CollisionModel:
         for name, parts in pieces.items():
             self.piece_shapes[name] = [self._add_part(f"{name}/{k}", part) for k, part in enumerate(parts)]
             self.bodies += [name] * len(parts)
-        self.arm_of = [self._arm_of(body) for body in self.bodies]
+        self.arms = {body: self._arm_of(body) for body in self.bodies}
+        self.arm_of = [self.arms[body] for body in self.bodies]
         self.hand_links = {link for arm in robot.cell.arms for link in (*arm.finger_links, arm.prefixed(arm.hand.palm_link))}
         self.robot_pairs = self._robot_pairs()
 
@@ -120,8 +121,13 @@ class Scene:
         for name, (arm, T_tcp_piece) in situation.carried.items():
             self.attach(name, arm, T_tcp_piece)
         margins = []
+        known: dict[tuple[str, str, bool], float | None] = {}  # the shapes of a body are alike, but for where they hang
+        joints = [shape.parentJoint for shape in self.geometry.geometryObjects]
         for a, b in [*model.robot_pairs, *self._piece_pairs()]:
-            margin = self._margin(a, b)
+            alike = (model.bodies[a], model.bodies[b], joints[a] == joints[b])
+            if alike not in known:
+                known[alike] = self._margin(*alike)
+            margin = known[alike]
             if margin is not None:
                 self.geometry.addCollisionPair(pin.CollisionPair(a, b))
                 margins.append(margin)
@@ -132,6 +138,7 @@ class Scene:
     def _prepare(self) -> None:
         """Make ready for the shapes and the pairs as they are."""
         self._broad_phase = None
+        self._results: list[coal.CollisionResult] = []  # of the pairs, looked up once
         self.geometry_data = self.geometry.createData()
         for request, margin in zip(self.geometry_data.collisionRequests, self._margins.tolist(), strict=True):
             request.security_margin = margin
@@ -179,21 +186,21 @@ class Scene:
                         pairs += [(index, second) for second, _ in model.piece_shapes[other]]
         return pairs
 
-    def _mover(self, index: int) -> int | None:
-        """The arm with which a shape moves."""
-        body = self.collision_model.bodies[index]
+    def _mover(self, body: str) -> int | None:
+        """The arm with which a body moves."""
         carried = self.situation.carried.get(body)
-        return carried[0] if carried is not None else self.collision_model.arm_of[index]
+        return carried[0] if carried is not None else self.collision_model.arms[body]
 
-    def _margin(self, a: int, b: int) -> float | None:
-        """Margin [m] of a pair; None where it need not be checked: both at rest, or a hand and what it grips."""
+    def _margin(self, a: str, b: str, rigid: bool) -> float | None:
+        """Margin [m] of shapes of two bodies, or of one body; None where it need not be checked: both at rest, or rigid (on the
+        same joint), or a hand and what it grips."""
         moving = self.situation.moving
         movers = {self._mover(a), self._mover(b)}
         if movers & self.situation.absent:
             return None
-        if not movers & moving or (len(movers) == 1 and self._rigid(a, b)):
+        if not movers & moving or (len(movers) == 1 and rigid):
             return None
-        names = frozenset((self.collision_model.bodies[a], self.collision_model.bodies[b]))
+        names = frozenset((a, b))
         for piece, arm in self.situation.gripped.items():
             if piece in names:
                 other = next(iter(names - {piece}), piece)
@@ -207,27 +214,23 @@ class Scene:
             return NEAR_MARGIN
         return HAND_MARGIN if names <= pieces | hands | {"table", "stand"} else MARGIN
 
-    def _rigid(self, a: int, b: int) -> bool:
-        """Whether two shapes hang on the same joint."""
-        shapes = self.geometry.geometryObjects
-        return bool(shapes[a].parentJoint == shapes[b].parentJoint)
-
     def collides(self, configuration: Array) -> bool:
         """Whether anything that moves comes nearer than its margin to anything else."""
         if self._broad_phase is None:
             # with some fifty shapes that nearly all move, to compare all boxes is faster than to keep a tree of them
-            self._broad_phase = pin.BroadPhaseManager_NaiveCollisionManager(
-                self.robot.model, self.geometry, self.geometry_data
-            )
+            self._broad_phase = pin.BroadPhaseManager_NaiveCollisionManager(self.robot.model, self.geometry, self.geometry_data)
         return bool(pin.computeCollisions(self.robot.model, self.data, self._broad_phase, configuration, True))
 
     def first_collision(self, configuration: Array) -> tuple[str, str] | None:
         """One pair of bodies that are too near, or None; cheaper than `colliding`."""
-        pin.computeCollisions(self.robot.model, self.data, self.geometry, self.geometry_data, configuration, True)
-        for pair, result in zip(self.geometry.collisionPairs, self.geometry_data.collisionResults, strict=True):
-            if result.isCollision():
-                return self.collision_model.bodies[pair.first], self.collision_model.bodies[pair.second]
-        return None
+        # judged pair by pair, in their order, unlike `collides`
+        if not pin.computeCollisions(self.robot.model, self.data, self.geometry, self.geometry_data, configuration, True):
+            return None
+        if not self._results:
+            self._results = list(self.geometry_data.collisionResults)
+        first = next(k for k, result in enumerate(self._results) if result.isCollision())
+        pair = self.geometry.collisionPairs[first]
+        return self.collision_model.bodies[pair.first], self.collision_model.bodies[pair.second]
 
     def colliding(self, configuration: Array) -> list[tuple[str, str, float]]:
         """The pairs of bodies that are too near, with their distance [m], nearest first."""

@@ -103,15 +103,6 @@ class Robot:
         frame = self.model.frames[self._tcp_frames[arm]]
         return int(frame.parentJoint), frame.placement
 
-    def radii(self, arm: int, beyond: float) -> Array:
-        """Bounds (6,) [m] on the distance from each joint's axis to any point of the arm up to `beyond` [m] past its TCP."""
-        pin.framesForwardKinematics(self.model, self.data, np.zeros(self.model.nq))
-        joints = [self.model.getJointId(name) for name in self.arm(arm).joint_names]
-        origins = [np.array(self.data.oMi[j].translation) for j in joints]
-        tcp = np.array(self.data.oMf[self._tcp_frames[arm]].translation)
-        lengths = np.linalg.norm(np.diff(np.array([*origins, tcp]), axis=0), axis=1)
-        return readonly(np.cumsum(lengths[::-1])[::-1] + beyond)
-
     def inverse(self, arm: int, T_world_tcp: Array, reference: Array) -> Array:
         """All joint vectors (k, 6) that reach a TCP pose (4, 4), nearest to `reference` (6,) first.
 
@@ -139,13 +130,11 @@ class Robot:
         found = np.asarray(solver.IK(pose).Q, float).reshape(-1, 6)
         limits = self.arm(arm)
         turned = previous + (found - previous + np.pi) % (2 * np.pi) - np.pi
-        distance = np.abs(turned - previous).max(axis=1)
-        for k in np.argsort(distance, kind="stable"):
-            q = turned[k]
-            if not np.isfinite(q).all() or np.any(q > limits.upper) or np.any(q < limits.lower):
-                continue
-            if np.abs(self.tcp(arm, q) - T_world_tcp).max() < FK_ERROR:
-                return np.array(q)
+        within = ((turned <= limits.upper) & (turned >= limits.lower)).all(axis=1)  # what is not a number is not, either
+        kept = turned[within]
+        for k in np.argsort(np.abs(kept - previous).max(axis=1), kind="stable"):
+            if np.abs(self.tcp(arm, kept[k]) - T_world_tcp).max() < FK_ERROR:
+                return np.array(kept[k])
         return None
 
     def _solver(self, arm: int) -> tuple[HPRobot, Array]:

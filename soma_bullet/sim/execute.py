@@ -21,7 +21,7 @@ TARE = 0.1  # [s] at rest before a guarded segment
 TOUCH_FORCE, EASED_FORCE = 5.0, 0.5  # [N] of the first touch, and of the grip before the pads leave
 RAMP = 0.15  # [s] between those and the full grip force
 EASED_SPEED, EASED_TIME = 0.01, 0.05  # [m/s], [s] of the first opening
-STALE = np.deg2rad(40.0)  # [rad] by which a hand may turn before the contacts of its pads are renewed
+STALE = np.deg2rad(15.0)  # [rad] by which a hand may turn before the contacts of its pads are renewed
 FILTER = 4  # samples of the force that are averaged
 JAM = 1e-3  # [m] a guarded motion that stops farther from its end is jammed
 EMPTY = 2e-3  # [m] pads nearer to each other than a piece's width less this hold nothing
@@ -196,13 +196,15 @@ class Executor:
     def _free(self, segment: Segment, motion: _Motion) -> Steps:
         """Feed a path; a hand that carries watches that its pads stay apart."""
         world, arm = self.world, segment.arm
-        anchored = world.tcp_pose(arm)[:3, :3]
+        anchored, stale = world.tcp_pose(arm)[:3, :3], list[int]()
+        ending = len(segment.path) - 1 - WATCH * len(world.finger_links[arm])
         for k, q in enumerate(segment.path[1:], 1):
-            if segment.kind == "transfer" and (k % WATCH == 0 or k + 1 == len(segment.path)):
+            if segment.kind == "transfer" and (k % WATCH == 0 or k >= ending):
                 turned = world.tcp_pose(arm)[:3, :3]
-                if rotation_angle(anchored, turned) > STALE or k + 1 == len(segment.path):
-                    world.renew_contacts(arm)
-                    anchored = turned
+                if not stale and (rotation_angle(anchored, turned) > STALE or k == ending):
+                    stale, anchored = list(range(len(world.finger_links[arm]))), turned
+                if stale and (k < ending or (k - ending) % WATCH == 0):
+                    world.renew_contacts(arm, stale.pop())
             world.command_arm(arm, q)
             yield
             if k % WATCH == 0 and arm in self._carried and world.openings()[arm] < self._carried[arm] - EMPTY:

@@ -78,15 +78,15 @@ class World(Stage):
                 physicsClientId=self.client,
             )  # fmt: skip
 
-    def renew_contacts(self, arm: int) -> None:
-        """Let the contacts of a hand's pads form anew in the next step.
+    def renew_contacts(self, arm: int, finger: int) -> None:
+        """Let the contacts of one of a hand's pads form anew in the next step, while the other keeps the piece where it is.
 
         Bullet keeps an anchored contact as it is, its normal in world axes included. Once the hand has turned the normal is
         stale, up to pointing backwards, and drags the piece along when the hand opens. Renewing the links' place in the broad
         phase drops it; nothing else changes.
         """
-        for body, link in self.finger_links[arm]:
-            p.setCollisionFilterGroupMask(body, link, 1, -1, physicsClientId=self.client)
+        body, link = self.finger_links[arm][finger]
+        p.setCollisionFilterGroupMask(body, link, 1, -1, physicsClientId=self.client)
 
     def step(self) -> None:
         """One time step with the current commands."""

@@ -17,6 +17,7 @@ from soma_bullet.task.workcell import Hands, Workcell
 CHECK_EVERY = 0.010  # [s] between collision checks on a timed line
 FINGER_STEP = 0.004  # [m] of one finger; none is thinner
 EDGE_STEPS = (0.02, 0.004, 0.004, 0.004, 0.004)  # [rad] between checked states of an edge, one for each attempt
+FINER = 4  # parts of a step of the path that is taken, to be checked once more: the planner's edges may graze something between
 SHORTEST = 1e-4  # [m] of a line that is worth a motion of its own
 CARRYING = 0.6  # of the joint limits while a hand carries a piece
 
@@ -50,15 +51,17 @@ def plan_motion(
     limits = workcell.robot.arm(arm)
     gentle = CARRYING if scene.situation.carried else 1.0
     hits = collisions(workcell, scene, hands, arm, widths)
-    collides = hits if forbidden is None else lambda q: forbidden(q) or hits(q)
+    collides = hits if forbidden is None else lambda q: hits(q) or forbidden(q)
     for attempt, step in enumerate(EDGE_STEPS):
         options = TransferOptions(checks, seed + 7919 * attempt, step)
         waypoints = plan_transfer(start, np.array([goal]), limits.lower, limits.upper, collides, options)
         dense = blend_corners(waypoints, collides)
         samples = time_path(dense, gentle * limits.velocity, gentle * limits.acceleration, DT)
         try:
+            fine = refined(dense, FINER)
             # the states of a straight edge have been checked, but not those between them; what is bent is all new
-            check(halved(dense)[1::2] if len(waypoints) == 2 else halved(dense), collides)
+            new = np.arange(len(fine)) % FINER > 0 if len(waypoints) == 2 else np.full(len(fine), True)
+            check(fine[new], collides)
         except TimingError:
             if attempt + 1 == len(EDGE_STEPS):
                 raise
@@ -116,11 +119,11 @@ def thinned(samples: Array) -> Array:
     return np.vstack([samples[:: max(1, int(CHECK_EVERY / DT))], samples[-1:]])
 
 
-def halved(path: Array) -> Array:
-    """A path (n, 6) with the middle of every step between its points (2 n - 1, 6)."""
-    fine = np.repeat(path, 2, axis=0)[:-1]
-    fine[1::2] = (path[:-1] + path[1:]) / 2
-    return fine
+def refined(path: Array, parts: int) -> Array:
+    """A path (n, 6) with every step between its points divided into equal parts (parts (n - 1) + 1, 6)."""
+    shares = np.arange(parts)[:, None] / parts
+    fine = (path[:-1, None] + shares * np.diff(path, axis=0)[:, None]).reshape(-1, path.shape[1])
+    return np.vstack([fine, path[-1:]])
 
 
 def joined(path: Array, q: Array) -> Array:

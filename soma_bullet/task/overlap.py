@@ -3,35 +3,36 @@
 A segment waits for the last earlier segment of another arm with which it may not overlap: because the assembly asks for their
 order, or because somewhere on the two paths the arms, with what they carry, would come too near to each other. No timing
 enters: whatever the delays of a guarded motion, what may overlap is free in every combination of states of the two paths.
-Bisection over both paths at once shows it: a cell is free where the distance at its middle exceeds what any point can move
-within it (conservative advancement: B. Mirtich, 1996). A path around obstacles that would have to wait is planned again, around
-everything that the other arm does meanwhile; it is taken if it waits for less.
+Bisection over both paths at once shows it: two shapes are free of each other in a cell where their distance at its middle
+exceeds what their points can move within it (conservative advancement: B. Mirtich, 1996); those that are not are looked at
+again in its halves. A path around obstacles that would have to wait is planned again, around everything that the other arm does
+meanwhile; it is taken if it waits for less.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from soma_bullet.frames import Array, apply, readonly
+from soma_bullet.frames import Array, readonly
 from soma_bullet.motion.timing import TimingError
 from soma_bullet.motion.transfer import TransferError
-from soma_bullet.robot.silhouette import Placed, Silhouette, distance, merged, near
+from soma_bullet.robot.silhouette import Obstacle, Placed, Silhouette, Track, apart, distance
 from soma_bullet.task.motions import plan_motion, widths_between
 from soma_bullet.task.program import scene_of
 from soma_bullet.task.segments import Context, Program, Segment, contexts, one_at_a_time
 from soma_bullet.task.workcell import Workcell
 
 CLEARANCE = 0.015  # [m] kept between two arms that move at the same time
-THICKNESS = 0.10  # [m] no point of an arm's link is farther from the line between its joints
 GHOST_STEP = 0.05  # [m] between the places of the other arm around which a path is planned
 CHECKS = 1000  # of collisions, after which the search for such a path gives up
 SHORT = 0.2  # [s] a wait that is not worth another path
 LONGER = 1.5  # [s] that such a path may take more
 AROUND = ("transit", "transfer", "home")
-SMALLEST = 0.01  # [m] of motion below which a cell is not divided again, but counts as too near
+SMALLEST = 0.004  # [m] of motion below which a cell is not divided again, but counts as too near
+BATCH = 32  # cells that are looked at together
 
 ASSEMBLING = ("insert", "place")
 AT_PIECE = ("approach", "grasp", "settle", "release")
@@ -131,13 +132,14 @@ class _Loosener:
         silhouette = Silhouette(self.workcell.collision, arm, float(widths.max()), before.carried.get(arm))
         ends = silhouette.at(start), silhouette.at(goal)
         ghosts = [self.sweeps[i].at(k) for i in meanwhile for k in self.sweeps[i].marks()]
-        obstacle = merged(g for g in ghosts if not any(near(end, g, margin) for end in ends))  # those cannot be gone around
-        if obstacle is None:
+        # those that are near its ends cannot be gone around
+        obstacle = Obstacle([g for g in ghosts if all(distance(end, g, margin) > margin for end in ends)], margin)
+        if not len(obstacle):
             return segment, ended
         try:
             path = plan_motion(
                 self.workcell, scene_of(self.workcell, before, arm), before.hands, arm, start, goal, widths,
-                self.program.seed + 31 * j, CHECKS, lambda q: near(silhouette.at(q), obstacle, margin),
+                self.program.seed + 31 * j, CHECKS, lambda q: obstacle.near(silhouette.at(q)),
             )  # fmt: skip
         except (TransferError, TimingError):
             return segment, ended
@@ -162,68 +164,81 @@ class Sweep:
     silhouette: Silhouette
     path: Array
     change: float  # of a finger's place [m]
-    beyond: float  # farthest that what it carries ends from the TCP [m]
-    _placed: dict[int, Placed] = field(default_factory=dict)
 
     @classmethod
     def of(cls, workcell: Workcell, before: Context, segment: Segment) -> Sweep:
         path = segment.path if len(segment.path) else before.hands.qs[segment.arm][None]
         first = float(before.hands.openings[segment.arm])
         last = first if np.isnan(segment.opening) else segment.opening
-        carried = before.carried.get(segment.arm)
-        beyond = 0.0
-        if carried is not None:
-            piece = workcell.assembly.pieces[workcell.assembly.index(carried[0])]
-            beyond = float(np.linalg.norm(apply(carried[1], piece.vertices), axis=1).max())
-        silhouette = Silhouette(workcell.collision, segment.arm, max(first, last), carried)
-        return cls(silhouette, path, abs(last - first) / 2, beyond)
+        silhouette = Silhouette(workcell.collision, segment.arm, max(first, last), before.carried.get(segment.arm))
+        return cls(silhouette, path, abs(last - first) / 2)
 
     @classmethod
     def at_rest(cls, workcell: Workcell, context: Context, arm: int) -> Sweep:
         """An arm that stands where a context has it."""
         carried = context.carried.get(arm)
         silhouette = Silhouette(workcell.collision, arm, float(context.hands.openings[arm]), carried)
-        return cls(silhouette, context.hands.qs[arm][None], 0.0, 0.0)
+        return cls(silhouette, context.hands.qs[arm][None], 0.0)
 
     def still(self, sample: int) -> Sweep:
         """The arm as it stands at a sample of its path."""
-        return replace(self, path=self.path[sample : sample + 1], _placed={})
+        return replace(self, path=self.path[sample : sample + 1])
 
     def at(self, sample: int) -> Placed:
         """The arm at a sample of its path."""
-        if sample not in self._placed:
-            self._placed[sample] = self.silhouette.at(self.path[sample])
-        return self._placed[sample]
-
-    def marks(self) -> list[int]:
-        """Samples along the path, GHOST_STEP apart at most."""
-        marks = np.searchsorted(self.arc, np.arange(0.0, self.arc[-1] + GHOST_STEP, GHOST_STEP))
-        return sorted(set(np.minimum(marks, len(self.path) - 1).tolist()))
+        return self.track.at(sample)
 
     @cached_property
-    def arc(self) -> Array:
-        """Bound (n,) [m] on how far any point has come since the start of the path."""
-        steps = np.abs(np.diff(self.path, axis=0)) @ self.silhouette.robot.radii(self.silhouette.arm, THICKNESS + self.beyond)
-        return np.concatenate([[0.0], np.cumsum(steps)])
+    def track(self) -> Track:
+        """The arm at all samples."""
+        return self.silhouette.along(self.path)
+
+    def marks(self) -> list[int]:
+        """Samples along the path; between two of them no point moves by more than GHOST_STEP."""
+        arc = self.track.arcs.max(axis=1)
+        marks = np.searchsorted(arc, np.arange(0.0, arc[-1] + GHOST_STEP, GHOST_STEP))
+        return sorted(set(np.minimum(marks, len(self.path) - 1).tolist()))
 
 
 def meet(first: Sweep, second: Sweep) -> bool:
     """Whether two arms come nearer than CLEARANCE to each other anywhere on their paths."""
+    one, two = first.track, second.track
     slack = CLEARANCE + first.change + second.change
-    stack = [(0, len(first.path) - 1, 0, len(second.path) - 1)]
-    while stack:
-        a0, a1, b0, b1 = stack.pop()
-        a, b = (a0 + a1) // 2, (b0 + b1) // 2
-        reach_a = float(max(first.arc[a] - first.arc[a0], first.arc[a1] - first.arc[a]))
-        reach_b = float(max(second.arc[b] - second.arc[b0], second.arc[b1] - second.arc[b]))
-        needed = slack + reach_a + reach_b
-        apart = distance(first.at(a), second.at(b), needed)
-        if apart > needed:
-            continue
-        if apart <= slack or reach_a + reach_b < SMALLEST:
-            return True
-        if reach_a >= reach_b:
-            stack += [(a0, a, b0, b1), (min(a + 1, a1), a1, b0, b1)]
-        else:
-            stack += [(a0, a1, b0, b), (a0, a1, min(b + 1, b1), b1)]
+    everything = np.ones((1, len(one.shapes), len(two.shapes)), bool)
+    cells, pairs = np.array([[0, len(first.path) - 1, 0, len(second.path) - 1]]), everything
+    while len(cells):
+        taken, cells = cells[-BATCH:], cells[:-BATCH]
+        doubted, pairs = pairs[-BATCH:], pairs[:-BATCH]
+        middles = (taken[:, 0::2] + taken[:, 1::2]) // 2
+        reaches = _reach(one.arcs, taken[:, :2], middles[:, 0]), _reach(two.arcs, taken[:, 2:], middles[:, 1])
+        needed = slack + reaches[0][:, :, None] + reaches[1][:, None]
+        gaps = np.linalg.norm(one.centres[middles[:, 0], :, None] - two.centres[middles[:, 1], None], axis=3)
+        doubted &= gaps - (one.radii[:, None] + two.radii) <= needed
+        for cell, i, j in np.argwhere(doubted).tolist():
+            between = apart(one.at(int(middles[cell, 0])), two.at(int(middles[cell, 1])), i, j)
+            if between > needed[cell, i, j]:
+                doubted[cell, i, j] = False
+            elif between <= slack or needed[cell, i, j] - slack < SMALLEST:
+                return True
+        left = doubted.any(axis=(1, 2))
+        farthest = [np.where(doubted.any(axis=3 - side), r, 0.0).max(axis=1) for side, r in enumerate(reaches, 1)]
+        halves, which = _halves(taken[left], middles[left], farthest[0][left] >= farthest[1][left])
+        cells, pairs = np.vstack([cells, halves]), np.concatenate([pairs, doubted[left][which]])
     return False
+
+
+def _reach(arcs: Array, ends: Array, middles: Array) -> Array:
+    """How far (k, m) [m] any point of m shapes gets from where it is at the middles (k,) of stretches (k, 2) of a path."""
+    reach: Array = np.maximum(arcs[middles] - arcs[ends[:, 0]], arcs[ends[:, 1]] - arcs[middles])
+    return reach
+
+
+def _halves(cells: Array, middles: Array, first: Array) -> tuple[Array, Array]:
+    """Both halves of cells (k, 4), divided along the first path or along the second, and of which cell each is."""
+    low, high = cells.copy(), cells.copy()
+    at = np.where(first, 0, 2)
+    rows = np.arange(len(cells))
+    middle = np.where(first, middles[:, 0], middles[:, 1])
+    low[rows, at + 1] = middle
+    high[rows, at] = np.minimum(middle + 1, cells[rows, at + 1])
+    return np.vstack([low, high]), np.concatenate([rows, rows])

@@ -12,6 +12,7 @@ import itertools
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -34,7 +35,8 @@ LOOKED_AT = 12  # as many candidates as are wanted are looked at before the piec
 SHALLOW = 8  # candidates a step; no more, and a piece that one grasp can bring is not regrasped
 DEEP = 72  # candidates a step; more, and more goal grasps are regrasped
 REGRASPED, WAYS = 6, 2  # goal grasps that are brought about by regrasps, and ways of each kind for one of them
-ALTERNATE = 0.4  # [m] nearer to the piece an arm must be to insert twice in a row: the other could fetch meanwhile
+BESIDE, PAST = 0.10, 5.0  # [m] farther that an arm reaches without being in the way, and the cost of each metre beyond
+AGAIN = 0.4  # cost of an arm that fetches right after it has inserted
 PREPARATIONS: tuple[tuple[Action, ...], ...] = (("put down",), ("hand over", "put down"), ("put down", "put down"))
 NEAREST, STRAIGHTEST = 4e-3, np.deg2rad(8.0)  # [m], [rad] a carried piece sits in one of its grasps within this
 
@@ -264,15 +266,46 @@ class Search:
         self.tracer.reject(step.piece, "hand meets a holding hand or a placed piece on its way in", met)
         return indices[clear]
 
-    def _arms(self, k: int, state: State, view: View) -> list[int]:
-        """Free arms, the one that reaches well and did not insert last first."""
-        piece = self.fetcher.graph(view.piece).piece
-        com = apply(view.source, piece.center_of_mass)
-        cost = {
-            arm: np.linalg.norm(com - self.robot.arm(arm).T_world_base[:3, 3]) + ALTERNATE * (arm == state.last)
-            for arm in view.free
-        }
-        return sorted(view.free, key=lambda arm: cost[arm])
+    def _arms(self, k: int, state: State, view: View, fetching: bool = True) -> list[int]:
+        """Free arms, the one first that is to fetch the piece of a step, or to insert it."""
+        fetcher, inserter = self._turns[k]
+        wished = fetcher if fetching else inserter
+        return sorted(view.free, key=lambda arm: (arm != wished, self._far(k)[arm]))
+
+    def _far(self, k: int) -> Array:
+        """How much farther than for the nearest arm the piece of a step is from each arm's base (arms,) [m]."""
+        piece = self.fetcher.graph(self.plan.steps[k].piece).piece
+        com = apply(self.poses[piece.name], piece.center_of_mass)
+        bases = [arm.T_world_base[:3, 3] for arm in self.workcell.cell.arms]
+        away = np.linalg.norm(com - np.array(bases), axis=1)
+        return np.array(np.round(away - away.min(), 9))
+
+    @cached_property
+    def _turns(self) -> dict[int, tuple[int, int]]:
+        """The arms that are to fetch and to insert the piece of each step, chosen together: cheapest over all steps.
+
+        An arm that reaches past the stand is in the other's way, and one that fetches right after it has inserted could not
+        fetch meanwhile. Where no grasp serves both where the piece lies and at the goal, another arm inserts it.
+        """
+        arms = range(len(self.workcell.cell.arms))
+        best: dict[int, tuple[float, tuple[tuple[int, int], ...]]] = {-1: (0.0, ())}  # by the arm that inserted last
+        for k in range(self.first, len(self.plan.steps)):
+            far = PAST * np.maximum(self._far(k) - BESIDE, 0.0)
+            piece = self.plan.steps[k].piece
+            serving = np.zeros(len(self.fetcher.graph(piece).poses), bool)
+            serving[sorted(self._allowed(k))] = True
+            direct = bool((serving & self.fetcher.clear_at(self._view(k, self._initial()), self.poses[piece])).any())
+            found: dict[int, tuple[float, tuple[tuple[int, int], ...]]] = {}
+            for last, (cost, turns) in best.items():
+                for arm in arms:
+                    for inserter in arms:
+                        if (inserter == arm) != direct and len(arms) > 1:
+                            continue
+                        total = round(cost + float(far[arm]) + AGAIN * (arm == last) + 0.01 * float(self._far(k)[arm]), 9)
+                        found[inserter] = min(found.get(inserter, (np.inf, ())), (total, (*turns, (arm, inserter))))
+            best = found
+        chosen = min(best.values())[1]
+        return {self.first + n: turn for n, turn in enumerate(chosen)}
 
     def _direct(self, k: int, state: State, view: View, width: int) -> Iterator[_Candidate]:
         """Grasps that serve where the piece is and at the goal, with arms; of every direction one, the most promising first."""
@@ -348,7 +381,7 @@ class Search:
         graph, indices = self.fetcher.graph(self.plan.steps[k].piece), self._chosen(k, state)
         goal, found = self.workcell.settled[self.plan.steps[k].piece], []
         turns = []
-        for arm in self._arms(k, state, self._view(k, state)):
+        for arm in self._arms(k, state, self._view(k, state), fetching=False):
             cost = comfort(self.robot, arm, goal @ graph.poses[indices]) + 2 * (1 - graph.contact[indices])
             turns.append([_Candidate(arm, graph.grip(g)) for g in spread(graph.poses, indices, cost)])
         candidates = (c for turn in itertools.zip_longest(*turns) for c in turn if c is not None)

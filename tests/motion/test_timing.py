@@ -63,6 +63,43 @@ def test_a_straight_path_takes_as_long_as_by_hand() -> None:
     assert np.diff(samples[:, 0]).min() > -1e-9
 
 
+@pytest.mark.parametrize("seed", range(8))
+def test_a_straight_path_is_gone_along_as_fast_as_can_be(seed: int) -> None:
+    """One limit is used in full all the time: the speed's, or the acceleration's; and samples stay on the line."""
+    rng = np.random.default_rng(seed)
+    ends = rng.uniform(-1.0, 1.0, (2, 6)) * (0.05 if seed % 2 else 2.0)
+    samples = time_path(ends[0] + np.sort(rng.uniform(0, 1, 50))[:, None] * (ends[1] - ends[0]), VELOCITY, ACCELERATION, DT)
+    whole = samples[-1] - samples[0]
+    along = (samples - samples[0]) @ whole / (whole @ whole)
+    np.testing.assert_allclose(samples, samples[0] + along[:, None] * whole, atol=1e-12)
+    speed = np.abs(np.diff(samples, axis=0)) / DT / VELOCITY
+    rate = np.abs(np.diff(samples, n=2, axis=0)) / DT**2 / ACCELERATION
+    slower = 1.0 + 2.0 / len(samples)  # a whole number of steps
+    assert speed.max() <= 1 + 1e-6 and rate.max() <= 1 + 1e-6
+    full = np.maximum(np.minimum(speed[1:], speed[:-1]).max(axis=1), rate.max(axis=1)) > 1 / slower**2 - 1e-6
+    assert (~full).sum() <= 3  # the steps in which it changes from the one to the other
+
+
+def test_the_closed_form_agrees_with_toppra(monkeypatch: pytest.MonkeyPatch) -> None:
+    for seed in range(4):
+        start, end = np.random.default_rng(seed).uniform(-1.5, 1.5, (2, 6)) * (0.1 if seed % 2 else 1.0)
+        path = start + np.linspace(0, 1, 60)[:, None] * (end - start)
+        exact = time_path(path, VELOCITY, ACCELERATION, DT)
+        with monkeypatch.context() as patch:
+            patch.setattr(timing, "_straight", lambda points: False)
+            sampled = time_path(path, VELOCITY, ACCELERATION, DT)
+        assert len(exact) == pytest.approx(len(sampled), rel=0.01, abs=2)
+        assert len(exact) <= len(sampled) + 1
+
+
+def test_a_path_that_comes_back_is_not_straight() -> None:
+    path = np.zeros((4, 6))
+    path[:, 0] = 0.0, 1.0, 0.5, 1.5
+    assert timing._straight(path[[0, 1, 3]]) and not timing._straight(path)
+    path[1, 1] = 1e-6
+    assert not timing._straight(path[[0, 1, 3]])
+
+
 def test_a_corner_does_not_break_the_limits() -> None:
     """Two edges at a right angle, blended tightly because nothing else is free."""
     corner = np.zeros((3, 6))

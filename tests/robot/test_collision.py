@@ -7,14 +7,16 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import coal
 import numpy as np
+import pinocchio as pin
 import pytest
 from blocks import box
 
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.frames import Array, inverse, make_transform, rotation_about, to_quat_xyzw
 from soma_bullet.robot.cell import load_cell
-from soma_bullet.robot.collision import HAND_MARGIN, NEAR_MARGIN, CollisionModel, Scene, Situation
+from soma_bullet.robot.collision import HAND_MARGIN, NEAR_MARGIN, CollisionModel, Scene, Situation, _swept
 from soma_bullet.robot.compose import compose_urdf
 from soma_bullet.robot.kinematics import Robot
 
@@ -168,6 +170,50 @@ def test_an_absent_arm_is_left_out(robot: Robot, blocks: CollisionModel) -> None
 
 
 # --- PyBullet as the judge ------------------------------------------------------------------------------------------------
+
+
+def test_swept_fingers_stand_for_all_widths(robot: Robot, blocks: CollisionModel) -> None:
+    """A block beside the hand, between its fingers, or away: the swept fingers hit it if they do at some width."""
+    rng, seen = np.random.default_rng(4), {True: 0, False: 0}
+    configuration = at(robot, 0, above(0.2), 0.01)
+    hand = robot.tcp(0, configuration[robot.arm_slots(0)])
+    for _ in range(120):
+        turn = rotation_about(rng.normal(size=3), rng.uniform(0, 3))
+        place = make_transform(turn, rng.uniform((-0.12, -0.05, -0.02), (0.12, 0.05, 0.06)))
+        scene = blocks.scene(Situation({"one": hand @ place}, frozenset({0})))
+        hits = [scene.collides(at(robot, 0, above(0.2), width)) for width in np.linspace(0.01, 0.08, 36)]
+        assert scene.swept(0, 0.035).collides(configuration) == any(hits)
+        assert scene.swept(0, 0.0).collides(configuration) == hits[0] == scene.collides(configuration)
+        seen[any(hits) and not hits[0]] += 1
+    assert min(seen.values()) >= 5, seen
+
+
+def test_what_a_turned_box_sweeps() -> None:
+    """Every corner of it at both ends, and not a larger volume than it must have."""
+    half, offset = np.array([0.01, 0.02, 0.03]), np.array([0.02, -0.05, 0.01])
+    place = pin.SE3(rotation_about((1, 2, 3), 0.7), np.array([0.1, 0.2, 0.3]))
+    corners = half * (2 * np.indices((2, 2, 2)).reshape(3, -1).T - 1.0)
+    world = np.array([place.act(corner) for corner in corners])
+    along = place.rotation.T @ offset
+    for shape in (coal.Box(*(2 * half)), _hull(corners)):
+        swept, where = _swept(shape, place, offset)
+        found = np.array([where.act(point) for point in np.array(swept.points())])
+        ends = np.vstack([world, world + offset])
+        for direction in np.random.default_rng(0).normal(size=(50, 3)):
+            assert (found @ direction).max() == pytest.approx((ends @ direction).max(), abs=1e-9)
+        faces = 4 * np.array([half[1] * half[2], half[2] * half[0], half[0] * half[1]])
+        assert swept.computeVolume() == pytest.approx(8 * half.prod() + faces @ np.abs(along), rel=1e-6)
+    straight, where = _swept(coal.Box(*(2 * half)), place, place.rotation @ (0.0, 0.04, 0.0))
+    assert isinstance(straight, coal.Box)
+    np.testing.assert_allclose(straight.halfSide, half + (0, 0.02, 0), atol=1e-12)
+    np.testing.assert_allclose(where.translation, place.act(np.array((0, 0.02, 0))), atol=1e-12)
+
+
+def _hull(points: Array) -> coal.CollisionGeometry:
+    listed = coal.StdVec_Vec3s()
+    for point in points:
+        listed.append(point)
+    return coal.Convex.convexHull(listed, True, "Qt")
 
 
 @pytest.fixture(scope="module")

@@ -242,7 +242,8 @@ def test_renewing_the_contacts_in_flight_lets_nothing_slide(cell: Cell, robot: R
                 body, pull = world.pieces["block"], [0.0, 0.0, -load]
                 p.applyExternalForce(body, -1, pull, place, p.WORLD_FRAME, physicsClientId=world.client)
                 if k % 100 == 0:
-                    world.renew_contacts(0)
+                    for finger in (0, 1):
+                        world.renew_contacts(0, finger)
                 world.step()
             return float(start - world.piece_poses()["block"][2, 3])
 
@@ -269,7 +270,8 @@ def test_contacts_point_along_the_closing_axis_after_the_hand_has_turned(cell: C
             world.command_arm(0, q)
             world.step()
         stale = alignment()
-        world.renew_contacts(0)
+        for finger in (0, 1):
+            world.renew_contacts(0, finger)
         world.step()
         assert stale < 0.95  # what the renewal is for
         assert alignment() > 0.999

@@ -1,4 +1,4 @@
-"""A hand that closes on its way home sweeps its fingers through all widths between."""
+"""Motions around obstacles are free all along and at every width of a hand that opens or closes on the way."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from soma_bullet.grasp.hand import Hand
-from soma_bullet.task.motions import FINGER_STEP, widths_between
+from soma_bullet.task.motions import FINGER_STEP, collisions, refined, widths_between
+from soma_bullet.task.program import scene_of
+from soma_bullet.task.segments import DT, Program, contexts
 from soma_bullet.task.workcell import Workcell
 
 
@@ -24,3 +26,45 @@ def test_no_finger_is_thinner_than_the_step(workcell: Workcell) -> None:
     for box in (*hand.left_boxes, *hand.right_boxes):
         thickness = 2 * float(np.abs(box.T[0, :3]) @ box.half)
         assert thickness >= FINGER_STEP - 1e-9
+
+
+def test_timed_motions_are_free_at_every_sample_and_width(workcell: Workcell, program: Program) -> None:
+    """Replayed at the simulator's rate in the scene as it is: no swept fingers, no spacing between checked states."""
+    replayed = 0
+    for context, segment, _ in contexts(workcell, program):
+        if segment.kind not in ("transit", "transfer", "home"):
+            continue
+        arm, now = segment.arm, float(context.hands.openings[segment.arm])
+        scene = scene_of(workcell, context, arm)
+        widths = widths_between(now, now if np.isnan(segment.opening) else segment.opening)
+        for k, q in enumerate(segment.path):
+            for width in widths if k % 16 == 0 else widths[[k % len(widths)]]:
+                hit = scene.collides(workcell.configuration(context.hands, arm, q, float(width)))
+                assert not hit, (segment.kind, segment.piece, k * DT, width)
+        replayed += 1
+    assert replayed >= 6
+
+
+def test_one_check_stands_for_all_widths(workcell: Workcell, program: Program) -> None:
+    rng, seen = np.random.default_rng(0), {True: 0, False: 0}
+    for context, segment, _ in contexts(workcell, program):
+        if segment.kind not in ("transit", "home"):
+            continue
+        arm, hands = segment.arm, context.hands
+        widths = widths_between(float(hands.openings[arm]), segment.opening)
+        scene = scene_of(workcell, context, arm)
+        collides = collisions(workcell, scene, hands, arm, widths)
+        for q in segment.path[rng.integers(len(segment.path), size=60)] + rng.normal(0, 0.08, (60, 6)):
+            some = any(scene.collides(workcell.configuration(hands, arm, q, float(width))) for width in widths)
+            assert collides(q) or not some  # it sees what lies between two widths, too
+            seen[some] += 1
+    assert min(seen.values()) >= 10, seen
+
+
+@pytest.mark.parametrize("parts", [1, 2, 5])
+def test_a_refined_path_keeps_its_points(parts: int) -> None:
+    path = np.random.default_rng(0).normal(size=(5, 6))
+    fine = refined(path, parts)
+    np.testing.assert_array_equal(fine[::parts], path)
+    np.testing.assert_allclose(np.diff(fine, axis=0), np.repeat(np.diff(path, axis=0), parts, axis=0) / parts, atol=1e-12)
+    np.testing.assert_array_equal(refined(path[:1], parts), path[:1])
