@@ -33,6 +33,7 @@ SMALLEST_JUMP, LARGEST_JUMP = 1e-4, 0.01  # [rad] below the one a path is taken 
 AGAIN = 3  # times that a jammed insertion is tried again
 RECOVERIES = 6  # in one episode
 OFF_MM, OFF_DEG = 5.0, 10.0  # [mm], [deg] a piece that is seen farther from its goal has been lost
+CERTAIN_MM, CERTAIN_DEG = 0.1, 0.2  # [mm], [deg] smaller differences are not worth a correction
 BEND = 0.3  # of a placing, over which its path is bent to where the piece is seen in the hand
 Progress = Callable[[str, float], None]
 Detour = Generator[Segment, Observation, Observation]
@@ -176,10 +177,14 @@ class Executive:
         return None if self.executor.busy else replan(self.workcell, program, k, qs)
 
     def _detour(self, segment: Segment) -> Detour:
-        """What is run for a segment: itself, and what is tried where an insertion jams. Returns the last observation."""
-        seen = yield segment
+        """What is run for a segment: itself, and what is tried where an insertion jams. Returns the last observation.
+
+        Before a piece is placed a look at it in the hand tells whether it sits there as planned.
+        """
         if segment.kind != "place" or not self.recover:
-            return seen
+            return (yield segment)
+        segment = self._corrected(segment, 3.0) or segment
+        seen = yield segment
         for _ in range(AGAIN):
             if seen.outcome != "jammed":
                 break
@@ -199,8 +204,11 @@ class Executive:
         last = round((len(segment.path) - 1) * (1.0 - seen.remaining / max(length, 1e-12)))
         return segment.path[: max(last, 1) + 1]
 
-    def _corrected(self, segment: Segment) -> Segment | None:
-        """A placing bent to where the piece is seen in the hand; None where it is not in it any more."""
+    def _corrected(self, segment: Segment, sigmas: float = 0.0) -> Segment | None:
+        """A placing bent to where the piece is seen in the hand; None where it is not in it any more.
+
+        What is seen counts from `sigmas` of the perception's error on.
+        """
         robot, arm, piece = self.workcell.robot, segment.arm, segment.piece
         T_tcp_piece = inverse(robot.tcp(arm, self.executor.world.measured_joints()[arm])) @ self._look()[piece]
         planned = robot.tcp(arm, segment.path[-1])
@@ -209,6 +217,9 @@ class Executive:
         turn = Rotation.from_matrix(wanted[:3, :3] @ planned[:3, :3].T).as_rotvec()
         if np.linalg.norm(shift) > OFF_MM * 1e-3 or np.linalg.norm(turn) > np.deg2rad(OFF_DEG):
             return None
+        certain_mm, certain_deg = CERTAIN_MM + sigmas * self.feed.noise_mm, CERTAIN_DEG + sigmas * self.feed.noise_deg
+        if sigmas and np.linalg.norm(shift) < certain_mm * 1e-3 and np.linalg.norm(turn) < np.deg2rad(certain_deg):
+            return segment
         ramp = np.clip(np.linspace(0.0, 1.0 / BEND, len(segment.path)), 0.0, 1.0)[:, None]
         path = segment.path + ramp * (segment.compliance @ np.concatenate([shift, turn]))
         return replace(segment, path=readonly(joined(path, self.executor.world.measured_joints()[arm])))

@@ -7,7 +7,7 @@ generator: it commands, yields until the step is done, measures, and commands ag
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -24,9 +24,11 @@ EASED_SPEED, EASED_TIME = 0.01, 0.05  # [m/s], [s] of the first opening
 STALE = np.deg2rad(15.0)  # [rad] by which a hand may turn before the contacts of its pads are renewed
 FILTER = 4  # samples of the force that are averaged
 JAM = 1e-3  # [m] a guarded motion that stops farther from its end is jammed
+SEATED = 0.35e-3  # [m] a guided motion that meets resistance nearer to its end has arrived
 EMPTY = 2e-3  # [m] pads nearer to each other than a piece's width less this hold nothing
 WATCH = 5  # samples between looks at the width of a hand that carries
 FALL, LOWERING = 1e-3, 8e-3  # [m], [m/s] of the last way straight down
+NARROW = 0.5e-3  # [m] largest radius of a search on that way
 SLOW = 0.25  # [s] over which a guided motion takes up its speed again
 FINAL_SETTLE = 2.0  # [s] after both hands have let go
 
@@ -254,7 +256,7 @@ class Executor:
         if not slanted or motion.outcome == "jammed":
             return
         end = place(len(path) - 1.0, guide)
-        guide = Guide(np.array((0.0, 0.0, -1.0)), compliance)
+        guide = Guide(np.array((0.0, 0.0, -1.0)), replace(compliance, reach=min(compliance.reach, NARROW)))
         motion.outcome, steps = "as planned", FALL / (LOWERING * DT)
         down = segment.compliance[:, 2]
         yield from self._feel(
@@ -279,12 +281,13 @@ class Executor:
                 motion.peak = max(motion.peak, force)
                 motion.force = -world.tcp_pose(arm)[:3, :3] @ sensed  # the joint reports the reaction
                 motion.remaining = left(at)
-                if motion.remaining <= JAM and force > segment.guard and float(motion.force @ guide.direction) < 0.0:
+                if motion.remaining <= SEATED and force > segment.guard and float(motion.force @ guide.direction) < 0.0:
                     motion.outcome = "stopped early"
                     return
                 speed = guide.update(motion.force, DT)
                 if guide.failed:
-                    motion.outcome, motion.reason = "jammed", guide.failed
+                    lies = guide.failed == "not found" and motion.remaining <= JAM  # it goes no deeper anywhere
+                    motion.outcome, motion.reason = "stopped early" if lies else "jammed", guide.failed
                     return
             pace = min(speed, pace + DT / SLOW)
             at = float(np.clip(at + pace, span[0], last))
