@@ -25,11 +25,11 @@ from soma_bullet.task.feed import FeedOptions, misplace
 from soma_bullet.task.motions import joined
 from soma_bullet.task.overlap import overlapped
 from soma_bullet.task.program import NO_PATH, NONE, recover_program, replan
-from soma_bullet.task.segments import DT, MOTIONS, OPENING_TIME, SPEEDS, Program, Segment
+from soma_bullet.task.segments import DT, MOTIONS, OPENING_TIME, SMALLEST_JUMP, SPEEDS, Program, Segment
 from soma_bullet.task.tracing import APPROACH
 from soma_bullet.task.workcell import Hands, Workcell
 
-SMALLEST_JUMP, LARGEST_JUMP = 1e-4, 0.01  # [rad] below the one a path is taken as it is, up to the other it is bent to meet
+LARGEST_JUMP = 0.01  # [rad] a path that starts no farther from the measured joints is bent to meet them
 AGAIN = 3  # times that a jammed insertion is tried again
 RECOVERIES = 6  # in one episode
 OFF_MM, OFF_DEG = 5.0, 10.0  # [mm], [deg] a piece that is seen farther from its goal has been lost
@@ -74,8 +74,10 @@ class Executive:
     """Executes one program.
 
     Args:
+        workcell, plan, program: what is built where, by which plan; recoveries plan on from them.
         executor: of the world.
         feed: how exact perception is.
+        options: how it is executed.
         ablate: `hold` opens every hand that should hold; nothing is recovered from then.
     """
 

@@ -252,7 +252,7 @@ class Executor:
             return length * _fraction_left(path, at)
 
         guide = Guide(along, compliance)
-        yield from self._feel(segment, motion, guide, tare, (0.0, len(path) - 1.0), 1.0, place, left)
+        yield from self._feel(segment, motion, guide, tare, len(path) - 1.0, place, left)
         if not slanted or motion.outcome == "jammed":
             return
         end = place(len(path) - 1.0, guide)
@@ -260,18 +260,18 @@ class Executor:
         motion.outcome, steps = "as planned", FALL / (LOWERING * DT)
         down = segment.compliance[:, 2]
         yield from self._feel(
-            segment, motion, guide, tare, (0.0, steps), 1.0,
+            segment, motion, guide, tare, steps,
             lambda at, g: end - down * (FALL * at / steps) + segment.compliance[:, :3] @ g.offset,
             lambda at: FALL * (1.0 - at / steps),
         )  # fmt: skip
 
     def _feel(
-        self, segment: Segment, motion: _Motion, guide: Guide, tare: Array, span: tuple[float, float], pace: float,
+        self, segment: Segment, motion: _Motion, guide: Guide, tare: Array, last: float,
         place: Callable[[float, Guide], Array], left: Callable[[float], float],
     ) -> Steps:  # fmt: skip
-        """Go from one end of a span to the other as the guide allows; `place` gives joints, `left` what is left [m]."""
+        """Go from 0 to `last`, a sample at a time, as the guide allows; `place` gives the joints, `left` what is left [m]."""
         world, arm = self.world, segment.arm
-        at, last = span
+        at, pace = 0.0, 1.0
         recent: list[Array] = []
         while at < last:
             speed = 1.0
@@ -290,7 +290,7 @@ class Executor:
                     motion.outcome, motion.reason = "stopped early" if lies else "jammed", guide.failed
                     return
             pace = min(speed, pace + DT / SLOW)
-            at = float(np.clip(at + pace, span[0], last))
+            at = float(np.clip(at + pace, 0.0, last))
             world.command_arm(arm, place(at, guide))
             yield
             recent = [*recent[1 - FILTER :], world.wrench(arm)[:3]]
