@@ -235,11 +235,10 @@ class Executor:
         """Feed a path as far as the wrist's force allows, and aside as it asks; see Guide.
 
         A piece that comes in at a slant stays FALL above its path and comes down straight at the end: it then meets what
-        carries it without pushing it aside.
+        carries it without pushing it aside. Where something should be met at the end, the hand goes on until it is.
         """
         path, length = segment.path, float(np.linalg.norm(segment.offset))
-        along = segment.offset / length
-        slanted = -0.98 < along[2] < -0.2
+        along, slanted = segment.offset / length, segment.slanted
         tare = yield from self._mean_force(segment.arm)
 
         def place(at: float, guide: Guide) -> Array:
@@ -252,24 +251,27 @@ class Executor:
             return length * _fraction_left(path, at)
 
         guide = Guide(along, compliance)
-        yield from self._feel(segment, motion, guide, tare, len(path) - 1.0, place, left)
-        if not slanted or motion.outcome == "jammed":
+        at = yield from self._feel(segment, motion, guide, tare, len(path) - 1.0, place, left)
+        fall = FALL * slanted
+        if motion.outcome == "jammed" or (motion.outcome == "stopped early" and not slanted) or not fall + segment.beyond:
             return
-        end = place(len(path) - 1.0, guide)
-        guide = Guide(np.array((0.0, 0.0, -1.0)), replace(compliance, reach=min(compliance.reach, NARROW)))
-        motion.outcome, steps = "as planned", FALL / (LOWERING * DT)
-        down = segment.compliance[:, 2]
+        end, down = place(at, guide), segment.last_way
+        guide = Guide(down, replace(compliance, reach=min(compliance.reach, NARROW)))
+        motion.outcome, step = "as planned", LOWERING * DT
         yield from self._feel(
-            segment, motion, guide, tare, steps,
-            lambda at, g: end - down * (FALL * at / steps) + segment.compliance[:, :3] @ g.offset,
-            lambda at: FALL * (1.0 - at / steps),
+            segment, motion, guide, tare, (fall + segment.beyond) / step,
+            lambda at, g: end + segment.compliance[:, :3] @ (down * at * step + g.offset),
+            lambda at: max(fall - at * step, 0.0),
         )  # fmt: skip
 
     def _feel(
         self, segment: Segment, motion: _Motion, guide: Guide, tare: Array, last: float,
         place: Callable[[float, Guide], Array], left: Callable[[float], float],
-    ) -> Steps:  # fmt: skip
-        """Go from 0 to `last`, a sample at a time, as the guide allows; `place` gives the joints, `left` what is left [m]."""
+    ) -> Generator[None, None, float]:  # fmt: skip
+        """Go from 0 to `last`, a sample at a time, as the guide allows; returns how far it came.
+
+        `place` gives the joints, `left` what is left [m].
+        """
         world, arm = self.world, segment.arm
         at, pace = 0.0, 1.0
         recent: list[Array] = []
@@ -279,22 +281,23 @@ class Executor:
                 sensed = np.mean(recent, axis=0) - tare
                 force = float(np.linalg.norm(sensed))
                 motion.peak = max(motion.peak, force)
-                motion.force = -world.tcp_pose(arm)[:3, :3] @ sensed  # the joint reports the reaction
+                motion.force = -world.wrist_axes(arm) @ sensed  # the sensor reports the reaction
                 motion.remaining = left(at)
                 if motion.remaining <= SEATED and force > segment.guard and float(motion.force @ guide.direction) < 0.0:
-                    motion.outcome = "stopped early"
-                    return
+                    motion.outcome = "stopped early" if motion.remaining > 0.0 else "as planned"
+                    return at
                 speed = guide.update(motion.force, DT)
                 if guide.failed:
                     lies = guide.failed == "not found" and motion.remaining <= JAM  # it goes no deeper anywhere
                     motion.outcome, motion.reason = "stopped early" if lies else "jammed", guide.failed
-                    return
+                    return at
             pace = min(speed, pace + DT / SLOW)
             at = float(np.clip(at + pace, 0.0, last))
             world.command_arm(arm, place(at, guide))
             yield
             recent = [*recent[1 - FILTER :], world.wrench(arm)[:3]]
         motion.remaining = 0.0
+        return at
 
     def _mean_force(self, arm: int) -> Generator[None, None, Array]:
         forces = []

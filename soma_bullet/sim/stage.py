@@ -141,12 +141,23 @@ class Stage:
         self.tcp_links = [self.links[arm.tcp_link][1] for arm in self.cell.arms]
         # a link's index is that of the joint above it
         self.wrists = [self.links[arm.prefixed(arm.hand.mount_link)][1] for arm in self.cell.arms]
-        for body, wrist in zip(self.robots, self.wrists, strict=True):
-            p.enableJointForceTorqueSensor(body, wrist, 1, physicsClientId=self.client)
+        self.hand_links = [self._below(*part) for part in zip(self.robots, self.wrists, strict=True)]
+        self.hand_masses = [
+            [p.getDynamicsInfo(body, link, physicsClientId=self.client)[0] for link in links]
+            for body, links in zip(self.robots, self.hand_links, strict=True)
+        ]
         scale = np.sqrt(self.physics.friction)
         for arm, links in zip(self.cell.arms, self.finger_links, strict=True):
             for body, link in links:
                 self._rub(body, link, np.sqrt(arm.hand.pad_friction) * scale, anchor=True)
+
+    def _below(self, body: int, link: int) -> list[int]:
+        """A link and all that it carries."""
+        carried = {link}
+        for joint in range(link + 1, p.getNumJoints(body, physicsClientId=self.client)):  # parents come first
+            if p.getJointInfo(body, joint, physicsClientId=self.client)[16] in carried:
+                carried.add(joint)
+        return sorted(carried)
 
     def _part(self, name: str) -> Part:
         """What a name of the cell stands for."""

@@ -113,8 +113,33 @@ class World(Stage):
         return [state[0] for state in states]
 
     def wrench(self, arm: int) -> Array:
-        """Force and torque (6,) at the wrist, in the hand's mount frame [N, N m]."""
-        return np.array(p.getJointState(self.robots[arm], self.wrists[arm], physicsClientId=self.client)[2])
+        """Force and torque (6,) with which the wrist carries the hand, in the hand's mount frame [N, N m].
+
+        It is summed from the contacts of the hand and its weight. Bullet's own sensor leaves out the impulses of the gear that
+        couples the fingers: it is wrong by up to all of a force along the closing axis. Inertia is left out.
+        """
+        body, links = self.robots[arm], self.hand_links[arm]
+        states = p.getLinkStates(body, links, physicsClientId=self.client)
+        places = [state[0] for state in states]
+        forces = [(0.0, 0.0, -self.physics.gravity * mass) for mass in self.hand_masses[arm]]
+        # of all bodies: asked for those of one, pybullet may swap the two and forget the sign of friction
+        for row in p.getContactPoints(physicsClientId=self.client):
+            for sign, part, place in ((1.0, row[1:4:2], row[5]), (-1.0, row[2:5:2], row[6])):
+                if part[0] == body and part[1] in links:
+                    axes = zip(row[7], row[11], row[13], strict=True)
+                    places.append(place)
+                    forces.append(tuple(sign * (row[9] * n + row[10] * u + row[12] * v) for n, u, v in axes))
+        mount, on = np.array(self._wrist_place(arm)[0]), np.array(forces)
+        torques = np.cross(np.array(places) - mount, on)
+        return -(np.array((on.sum(0), torques.sum(0))) @ self.wrist_axes(arm)).ravel()
+
+    def wrist_axes(self, arm: int) -> Array:
+        """Axes (3, 3) of a hand's mount frame in the world."""
+        return _transforms([self._wrist_place(arm)])[0, :3, :3]
+
+    def _wrist_place(self, arm: int) -> Place:
+        state = p.getLinkState(self.robots[arm], self.wrists[arm], physicsClientId=self.client)
+        return state[4], state[5]
 
     # --- what only the log may know ------------------------------------------------------------------------------------------
 

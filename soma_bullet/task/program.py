@@ -24,6 +24,7 @@ from soma_bullet.task.feed import Feed
 from soma_bullet.task.motions import plan_motion, straight_motion, widths_between
 from soma_bullet.task.schedule import Scheduler
 from soma_bullet.task.segments import (
+    BEYOND,
     CLOSING,
     GUARD,
     GUARDED,
@@ -312,7 +313,7 @@ class ProgramBuilder:
         except (LineError, TimingError) as error:
             raise MotionError(a, f"{piece}: {kind}: {error}") from None
         segment = Segment(kind, step, arm, piece, readonly(path), readonly(offset), np.nan, 0.0, 0.0)
-        return self._add(context, _guarded(self.workcell, segment))
+        return self._add(context, _guarded(self.workcell, segment, context))
 
     def _wait(
         self,
@@ -342,12 +343,13 @@ def first_arm(a: Assignment) -> int:
     return a.regrasps[0].arm if a.regrasps else a.arm
 
 
-def _guarded(workcell: Workcell, segment: Segment) -> Segment:
+def _guarded(workcell: Workcell, segment: Segment, context: Context) -> Segment:
     """A line with its guard and its compliance, where it has them."""
     if segment.kind not in GUARDED:
         return segment
     compliance = np.linalg.pinv(workcell.robot.jacobian(segment.arm, segment.path[-1]))
-    return replace(segment, guard=GUARD, compliance=readonly(compliance))
+    stopped = segment.kind == "set_down" or workcell.stopped(segment.piece, segment.last_way, context.placed)
+    return replace(segment, guard=GUARD, compliance=readonly(compliance), beyond=BEYOND if stopped else 0.0)
 
 
 def scene_of(workcell: Workcell, context: Context, arm: int) -> Scene:
@@ -375,4 +377,4 @@ def replan(workcell: Workcell, program: Program, index: int, qs: Array) -> Segme
     except (LineError, TransferError, TimingError) as error:
         reason = f"{segment.piece}: {segment.kind} cannot be made from the measured joints: {error}"
         raise NoSolutionError("motion", reason) from None
-    return _guarded(workcell, replace(segment, path=readonly(path)))
+    return _guarded(workcell, replace(segment, path=readonly(path)), context)

@@ -26,6 +26,7 @@ Kind = Literal[
 DT = 1 / 480  # [s] between samples of a trajectory: the simulator's step
 PLACE = 0.010  # [m] at the end of an insertion that are slowest; they are guarded, as is more where neighbours come near
 GUARD = 1.0  # [N] change of the wrist's force that ends a placing
+BEYOND = 1.5e-3  # [m] that a guarded line goes on beyond its end until it meets what carries the piece
 SETTLE = 0.2  # [s] after a placing
 CLOSING, OPENING_TIME = 0.5, 0.4  # [s] for the hand to grip, and to let go
 SPEEDS = {
@@ -39,6 +40,8 @@ SPEEDS = {
 }  # [m/s], [m/s2]
 THREADING = HandLimits(0.020, 0.06)  # [m/s], [m/s2] of what is guarded before that
 GUARDED = ("place", "set_down")
+SLANT = 0.2, 0.98  # downward parts of the directions that count as slanted
+DOWN = readonly(np.array((0.0, 0.0, -1.0)))
 MOTIONS = ("transit", "transfer", "home", *SPEEDS)
 SMALLEST_JUMP = 1e-4  # [rad] a segment that starts farther from the measured joints is made anew
 
@@ -63,6 +66,8 @@ class Segment:
         width: distance between the pads [m] that is expected after a grasp, else NaN.
         compliance: change of the joints for a small twist of the hand in world axes at the end of a guarded line (6, 6),
             translation [rad/m] before rotation [rad/rad]; empty (0, 6) for the rest.
+        beyond: how far a guarded line may go on beyond its end until the piece meets what should stop it there [m]: a piece
+            that sits higher in the hand than planned is not let go in the air.
     """
 
     kind: Kind
@@ -76,6 +81,18 @@ class Segment:
     guard: float
     width: float = np.nan
     compliance: Array = field(default_factory=_no_joints)
+    beyond: float = 0.0
+
+    @property
+    def slanted(self) -> bool:
+        """Whether it is a line that comes down at a slant: it then ends straight down."""
+        height = float(self.offset[2]) / max(float(np.linalg.norm(self.offset)), 1e-12)
+        return -SLANT[1] < height < -SLANT[0]
+
+    @property
+    def last_way(self) -> Array:
+        """Unit vector (3,) along which a line ends."""
+        return DOWN if self.slanted else self.offset / np.linalg.norm(self.offset)
 
     @property
     def seconds(self) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -20,6 +20,7 @@ SMALLEST_STAND = 0.03  # [m]
 STAND_RIM = 0.005  # [m] of stand around the footprint
 STAND, TABLE = "stand", "table"
 OFF, TURNED = 2e-3, np.deg2rad(2.0)  # [m], [rad] a piece in place that is off by less counts as where it should be
+HEAD_ON = 0.5  # cosine between a direction and what stops a motion along it
 
 
 def footprint(assembly: Assembly) -> tuple[Array, Array]:
@@ -114,6 +115,13 @@ class Workcell:
         """Pairs of bodies that touch in the finished assembly, also along an edge or at a corner."""
         name = lambda k: STAND if k == SUPPORT else self.assembly.names[k]  # noqa: E731
         return frozenset(frozenset(name(k) for k in pair) for pair in self.assembly.meeting)
+
+    def stopped(self, piece: str, direction: Array, placed: Collection[str]) -> bool:
+        """Whether a piece that comes to its goal along a unit vector (3,) meets a placed piece, or the stand, head on there."""
+        index, along = self.assembly.index(piece), self.T_world_assembly[:3, :3].T @ direction
+        there = {SUPPORT, *(self.assembly.index(name) for name in placed)}
+        contacts = [c.into(index) for c in self.assembly.contacts if index in (c.body_a, c.body_b)]
+        return any(float(c.normal @ along) < -HEAD_ON for c in contacts if c.body_a in there)
 
     def idle(self) -> Hands:
         """Both arms at home, hands closed and empty."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,6 +17,7 @@ from soma_bullet.motion.timing import HandLimits, time_path
 from soma_bullet.robot.cell import Cell, load_cell
 from soma_bullet.robot.kinematics import Robot
 from soma_bullet.sim.execute import FINAL_SETTLE, Executor
+from soma_bullet.sim.guide import Compliance
 from soma_bullet.sim.stage import Physics
 from soma_bullet.sim.world import World
 from soma_bullet.task.segments import CLOSING, DT, GUARD, Kind, Segment
@@ -157,6 +159,26 @@ def test_a_guarded_motion_stops_on_contact(cell: Cell, robot: Robot, block: Asse
         assert seen.remaining == record.remaining == pytest.approx(below, abs=6e-4)
         # a stiff arm on a rigid table, with nothing between the fingers to give way: some 110 N within four samples
         assert GUARD < np.linalg.norm(seen.force) <= record.peak_force < 200.0
+
+
+@pytest.mark.parametrize("beyond", [0.0, 1.5e-3])
+@pytest.mark.parametrize("high", [0.0, 0.8e-3])
+def test_a_piece_that_sits_high_in_the_hand_is_set_down_where_it_touches(
+    over: Executor, robot: Robot, high: float, beyond: float
+) -> None:
+    """Lifted by 20 mm and lowered by that less `high`: it goes on until it stands, where it may."""
+    over.compliance = Compliance()
+    over.run(wait("grasp", CLOSING, 0.0))
+    over.run(line(robot, over.world.cell, over.world.targets[0], np.array((0, 0, 0.02)), "lift"))
+    lowering = line(robot, over.world.cell, over.world.targets[0], np.array((0, 0, high - 0.02)), "place", GUARD, 0.010)
+    stiffness = readonly(np.linalg.pinv(robot.jacobian(0, lowering.path[-1])))
+    seen = over.run(replace(lowering, compliance=stiffness, beyond=beyond))
+    stands = 1.5 * SIDE - over.world.assembly.pieces[0].clearance
+    height = over.world.piece_poses()["block"][2, 3] - stands
+    record = over.recorder.segments[-1]
+    assert seen.outcome in ("as planned", "stopped early") and record.peak_force < 15.0
+    assert height == pytest.approx(high if high and not beyond else 0.0, abs=0.1e-3)
+    assert (record.peak_force > GUARD) == (not high or beyond > 0.0)
 
 
 def test_the_final_rest_ends_the_log(cell: Cell, block: Assembly) -> None:

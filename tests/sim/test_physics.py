@@ -172,6 +172,56 @@ def test_a_gripped_piece_slips_when_pulled_with_twice_mu_f(cell: Cell, robot: Ro
     assert needed == pytest.approx(2 * mu * GRIP, rel=0.10)
 
 
+@pytest.mark.parametrize("along", ["closing axis", "across the hand", "out of the hand", "all at once"])
+def test_the_wrist_feels_what_pulls_at_a_gripped_piece(cell: Cell, robot: Robot, along: str) -> None:
+    block = box((SIDE, SIDE, 3 * SIDE), "block")
+    T = robot.tcp(0, cell.arms[0].q_home)
+    pull = 4.0 * {"closing axis": T[:3, 0], "across the hand": T[:3, 1], "out of the hand": T[:3, 2]}.get(
+        along, T[:3, :3].sum(1) / np.sqrt(3.0)
+    )
+    with running(cell, assembly([block], [(0, 0, 0)]), {"block": T}, Physics(grip_force=GRIP), SIDE + 2e-3) as world:
+        p.setGravity(0, 0, 0, physicsClientId=world.client)
+        grip(world)
+        p.setGravity(0, 0, -GRAVITY, physicsClientId=world.client)
+        run(world, 0.3)
+        tare = world.wrench(0)
+        for sign in (1.0, -1.0):
+            for _ in range(60):
+                place = world.piece_poses()["block"][:3, 3]
+                body, push = world.pieces["block"], (sign * pull).tolist()
+                p.applyExternalForce(body, -1, push, place.tolist(), p.WORLD_FRAME, physicsClientId=world.client)
+                world.step()
+            axes, change = world.wrist_axes(0), world.wrench(0) - tare
+            arm = place - np.array(p.getLinkState(world.robots[0], world.wrists[0], physicsClientId=world.client)[4])
+            np.testing.assert_allclose(-axes @ change[:3], sign * pull, atol=0.05)
+            np.testing.assert_allclose(-axes @ change[3:], np.cross(arm, sign * pull), atol=0.02)
+    weight = GRAVITY * (block.mass + sum(world.hand_masses[0]))
+    np.testing.assert_allclose(-axes @ tare[:3], (0.0, 0.0, -weight), atol=0.05)
+
+
+def test_the_wrist_feels_what_a_gripped_piece_stands_on(cell: Cell, robot: Robot) -> None:
+    """Pushed onto the table, as much more as the table carries."""
+    tall = box((SIDE, SIDE, 3 * SIDE), "block")
+    T = make_transform(translation=(-0.1, 0.25, 1.5 * SIDE - tall.clearance))
+    over = make_transform(np.diag((1.0, -1.0, -1.0)), (-0.1, 0.25, 2.0 * SIDE))
+    q = robot.inverse(0, over, cell.arms[0].q_home)[0]
+    with running(cell, assembly([tall], [(0, 0, 0)]), {"block": T}, Physics(grip_force=GRIP), SIDE + 2e-3, q) as world:
+        grip(world)
+
+        def carried() -> float:
+            return sum(force for a, b, force, _ in world.contacts() if (world.fixtures["table"], -1) in (a, b))
+
+        tare, before = world.wrench(0), carried()
+        pressed = q - np.linalg.pinv(robot.jacobian(0, q)) @ (0.0, 0.0, 2e-4, 0.0, 0.0, 0.0)
+        for k in range(240):
+            world.command_arm(0, q + (pressed - q) * min(1.0, k / 200))
+            world.step()
+        more = carried() - before
+        felt = -world.wrist_axes(0) @ (world.wrench(0) - tare)[:3]
+    assert more > 1.0
+    assert felt[2] == pytest.approx(more, abs=0.1)
+
+
 def test_a_gripped_piece_that_is_not_pulled_stays(cell: Cell, robot: Robot) -> None:
     block = box((SIDE, SIDE, 3 * SIDE), "block")
     T = robot.tcp(0, cell.arms[0].q_home)
