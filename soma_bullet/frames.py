@@ -62,7 +62,9 @@ def rotation_about(axis: ArrayLike, angle: float) -> Array:
 
 def rotation_angle(rotation_a: ArrayLike, rotation_b: ArrayLike) -> float:
     """Angle [rad] of the rotation between two rotation matrices (3, 3)."""
-    return float(Rotation.from_matrix(np.asarray(rotation_a).T @ np.asarray(rotation_b)).magnitude())
+    turn = np.asarray(rotation_a).T @ np.asarray(rotation_b)
+    sine = np.array((turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]))  # twice the axis' share
+    return float(np.arctan2(np.sqrt(sine @ sine), np.trace(turn) - 1.0))
 
 
 def from_quat_xyzw(translation: ArrayLike, quat_xyzw: ArrayLike) -> Array:
@@ -71,9 +73,10 @@ def from_quat_xyzw(translation: ArrayLike, quat_xyzw: ArrayLike) -> Array:
 
 
 def to_quat_xyzw(transform: ArrayLike) -> tuple[Array, Array]:
-    """Translations (..., 3) [m] and quaternions (x, y, z, w) (..., 4), w >= 0, of one transform (4, 4) or of many (n, 4, 4)."""
+    """Translations (..., 3) [m] and quaternions (x, y, z, w) (..., 4), w >= 0, of transforms (..., 4, 4)."""
     transform = np.asarray(transform, float)
-    return transform[..., :3, 3].copy(), Rotation.from_matrix(transform[..., :3, :3]).as_quat(canonical=True)
+    quat_xyzw = Rotation.from_matrix(transform[..., :3, :3].reshape(-1, 3, 3)).as_quat(canonical=True)
+    return transform[..., :3, 3].copy(), quat_xyzw.reshape(*transform.shape[:-2], 4)
 
 
 def tangents(normal: ArrayLike) -> tuple[Array, Array]:

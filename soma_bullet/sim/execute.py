@@ -356,21 +356,23 @@ class Executor:
             times=world.time,
             joints=world.all_joints(),
             targets=world.targets,
-            poses=np.hstack(to_quat_xyzw(list(world.piece_poses().values()))),
-            tcps=np.hstack(to_quat_xyzw(world.tcp_poses())),
+            poses=world.places_of_pieces(),
+            tcps=[world.tcp_place(arm) for arm in range(len(world.cell.arms))],
             wrenches=[world.wrench(arm) for arm in range(len(world.cell.arms))],
             grips=grips,
         )
 
     def log(self, ended: str) -> ExecutionLog:
         """The record so far."""
-        program, cell = self.program, self.world.cell
+        program, cell, arrays = self.program, self.world.cell, self.recorder.arrays()
+        arrays["poses"] = readonly(np.dstack(to_quat_xyzw(self.world.frames_of_pieces(arrays["poses"]))))
+        arrays["tcps"] = readonly(arrays["tcps"] * np.where(arrays["tcps"][..., 6:] < 0.0, (1, 1, 1, -1, -1, -1, -1), 1.0))
         return ExecutionLog(
             cell=cell.name, assembly=program.assembly, digest=program.digest, seed=program.seed, order=program.order,
             stand=program.stand, T_world_assembly=program.T_world_assembly, joint_names=self.world.moving_joints,
             arm_names=tuple(arm.name for arm in cell.arms), piece_names=tuple(self.world.pieces), bodies=tuple(self.bodies),
             segments=tuple(self.recorder.segments), events=tuple(self.recorder.events),
-            constraints=self.world.constraints(), ended=ended, **self.recorder.arrays(),
+            constraints=self.world.constraints(), ended=ended, **arrays,
         )  # fmt: skip
 
 

@@ -8,12 +8,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from soma_bullet.assembly.model import Assembly
-from soma_bullet.frames import Array
+from soma_bullet.frames import Array, make_transform
 from soma_bullet.robot.cell import Cell
 from soma_bullet.sim.quiet import pybullet as p
 from soma_bullet.sim.stage import Physics, Stage
 
-Place = tuple[Sequence[float], Sequence[float]]  # position [m], quaternion (x, y, z, w)
 CLOSING_SPEED, OPENING_SPEED = 0.05, 0.1  # [m/s]
 SETTLED = 8  # iterations of the solver in which a finger's motor reaches its limit
 
@@ -124,44 +123,52 @@ class World(Stage):
         forces = [(0.0, 0.0, -self.physics.gravity * mass) for mass in self.hand_masses[arm]]
         # of all bodies: asked for those of one, pybullet may swap the two and forget the sign of friction
         for row in p.getContactPoints(physicsClientId=self.client):
-            for sign, part, place in ((1.0, row[1:4:2], row[5]), (-1.0, row[2:5:2], row[6])):
-                if part[0] == body and part[1] in links:
+            for sign, part, link, place in ((1.0, row[1], row[3], row[5]), (-1.0, row[2], row[4], row[6])):
+                if part == body and link in links:
                     axes = zip(row[7], row[11], row[13], strict=True)
                     places.append(place)
                     forces.append(tuple(sign * (row[9] * n + row[10] * u + row[12] * v) for n, u, v in axes))
-        mount, on = np.array(self._wrist_place(arm)[0]), np.array(forces)
-        torques = np.cross(np.array(places) - mount, on)
-        return -(np.array((on.sum(0), torques.sum(0))) @ self.wrist_axes(arm)).ravel()
+        mount, on = np.array(states[0][4]), np.array(forces)  # the first link is the mount
+        lever = np.array(places) - mount
+        torques = lever[:, (1, 2, 0)] * on[:, (2, 0, 1)] - lever[:, (2, 0, 1)] * on[:, (1, 2, 0)]
+        return -(np.array((on.sum(0), torques.sum(0))) @ _rotation(states[0][5])).ravel()
 
     def wrist_axes(self, arm: int) -> Array:
         """Axes (3, 3) of a hand's mount frame in the world."""
-        return _transforms([self._wrist_place(arm)])[0, :3, :3]
-
-    def _wrist_place(self, arm: int) -> Place:
-        state = p.getLinkState(self.robots[arm], self.wrists[arm], physicsClientId=self.client)
-        return state[4], state[5]
+        return _rotation(p.getLinkState(self.robots[arm], self.wrists[arm], physicsClientId=self.client)[5])
 
     # --- what only the log may know ------------------------------------------------------------------------------------------
 
     def piece_poses(self) -> dict[str, Array]:
         """T_world_piece (4, 4) of every piece."""
+        return dict(zip(self.pieces, self.frames_of_pieces(self.places_of_pieces()[None])[0], strict=True))
+
+    def places_of_pieces(self) -> Array:
+        """What pybullet keeps of every piece (n, 7): position [m] and quaternion (x, y, z, w) of its principal axes."""
         bodies = self.pieces.values()
-        places = [p.getBasePositionAndOrientation(body, physicsClientId=self.client) for body in bodies]
-        found = _transforms(places) @ np.array([self.T_inertial_piece[name] for name in self.pieces])
-        return dict(zip(self.pieces, found, strict=True))
+        return np.array([sum(p.getBasePositionAndOrientation(body, physicsClientId=self.client), ()) for body in bodies])
+
+    def frames_of_pieces(self, places: Array) -> Array:
+        """T_world_piece (m, n, 4, 4) of m times `places_of_pieces`."""
+        found = np.tile(np.eye(4), (*places.shape[:2], 1, 1))
+        found[..., :3, :3] = Rotation.from_quat(places[..., 3:].reshape(-1, 4)).as_matrix().reshape(*places.shape[:2], 3, 3)
+        found[..., :3, 3] = places[..., :3]
+        return found @ np.array([self.T_inertial_piece[name] for name in self.pieces])
 
     def tcp_poses(self) -> list[Array]:
         """T_world_tcp (4, 4) of every arm."""
-        return list(_transforms([self._tcp_place(arm) for arm in range(len(self.robots))]))
+        return [self.tcp_pose(arm) for arm in range(len(self.robots))]
 
     def tcp_pose(self, arm: int) -> Array:
         """T_world_tcp (4, 4) of one arm."""
-        return _transforms([self._tcp_place(arm)])[0]
+        place = self.tcp_place(arm)
+        return make_transform(_rotation(place[3:]), place[:3])
 
-    def _tcp_place(self, arm: int) -> Place:
+    def tcp_place(self, arm: int) -> tuple[float, ...]:
+        """Position [m] and quaternion (x, y, z, w) of one arm's TCP (7,)."""
         body, link = self.robots[arm], self.tcp_links[arm]
         state = p.getLinkState(body, link, computeForwardKinematics=1, physicsClientId=self.client)
-        return state[4], state[5]
+        return (*state[4], *state[5])
 
     def all_joints(self) -> Array:
         """Positions of `moving_joints`."""
@@ -180,10 +187,6 @@ class World(Stage):
         return [(a, b, force, distance) for (a, b), (force, distance) in found.items()]
 
 
-def _transforms(places: Sequence[Place]) -> Array:
-    """T (n, 4, 4) of n positions and orientations."""
-    found = np.tile(np.eye(4), (len(places), 1, 1))
-    if places:
-        found[:, :3, :3] = Rotation.from_quat([quat_xyzw for _, quat_xyzw in places]).as_matrix()
-        found[:, :3, 3] = [position for position, _ in places]
-    return found
+def _rotation(quat_xyzw: Sequence[float]) -> Array:
+    """Rotation matrix (3, 3)."""
+    return np.array(p.getMatrixFromQuaternion(quat_xyzw)).reshape(3, 3)
