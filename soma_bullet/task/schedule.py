@@ -2,12 +2,17 @@
 
 A piece whose turn comes while a hand holds can be brought by one arm only, which the other is in the way of. Such pieces can be
 laid down differently before the first step, when both arms are free: the search is tried without that first, or with it for
-the pieces that no single grasp can bring.
+the pieces that no single grasp can bring; then best first over where they are laid down.
 """
 
 from __future__ import annotations
 
+import heapq
 from collections import Counter
+from collections.abc import Iterator
+from itertools import count, islice
+
+import numpy as np
 
 from soma_bullet.errors import NoSolutionError
 from soma_bullet.planner.assembly_plan import AssemblyPlan
@@ -20,7 +25,9 @@ from soma_bullet.task.workcell import Workcell
 
 # candidates a step and lines of hands in each round: broad and shallow before deep
 ROUNDS = ((8, 1000), (12, 1500), (24, 4000), (72, 8000), (1_000_000, 16_000))
-MOST_LINES = 24_000  # of hands made or checked in all rounds together, about 20 s; schedules were found with 20,300 at most
+SHALLOW, BRANCHES = (200, 600), 12  # lines after a piece has been laid down elsewhere, and places where one is laid down
+MOST_REARRANGED = 12_000  # lines of all of these
+MOST_LINES = 36_000  # of hands made or checked in all rounds together, about 25 s
 
 
 class Scheduler:
@@ -32,6 +39,7 @@ class Scheduler:
         self.excluded: set[tuple[object, ...]] = set()
         self._effort = Effort()
         self._searches: dict[tuple[int, ...], Search | None] = {}
+        self._rearrangements: dict[tuple[object, ...], Search] = {}  # by what comes before the first step
 
     def find(self) -> Schedule:
         """The first schedule. Raises NoSolutionError with what blocked, most frequent first."""
@@ -56,12 +64,52 @@ class Scheduler:
                 search = self._search(prepared)
                 found = search.find(width, lines) if search is not None else None
                 if search is not None and found is not None:
-                    rejections = dict((+self.rejections).most_common())
-                    return Schedule(found, rejections, search.takes, search.releases)
+                    return self._made(search, found)
+            if (width, lines) == ROUNDS[0] and (rearranged := self._rearranged(width)) is not None:
+                return rearranged
+        return None
+
+    def _made(self, search: Search, found: tuple[Assignment, ...]) -> Schedule:
+        return Schedule(found, dict((+self.rejections).most_common()), search.takes, search.releases)
+
+    def _rearranged(self, width: int) -> Schedule | None:
+        """The first schedule with pieces laid down elsewhere before the first step, for the steps that the search stops at.
+
+        Best first: where laying down one piece lets the search come farther, the next piece is laid down from there on.
+        """
+        helpless, most = self._helpless(), self._effort.lines + MOST_REARRANGED
+        begun = [search for search in self._searches.values() if search is not None]
+        for lines in SHALLOW:
+            queue: list[tuple[int, int, int, Search, Iterator[tuple[Regrasp, ...]]]] = []
+            serial = count()
+
+            def add(search: Search) -> None:
+                moved = {regrasp.piece for regrasp in search.prologue}
+                k = search.deepest
+                if k in helpless and self.plan.steps[k].piece not in moved and search.carried is None:
+                    ways = islice(_distinct(search.prepare(k)), BRANCHES)
+                    heapq.heappush(queue, (-k, len(search.prologue), next(serial), search, ways))  # noqa: B023
+
+            for search in begun:
+                add(search)
+            while queue and self._effort.lines < most:
+                search, ways = queue[0][3:]
+                regrasps = next(ways, None)
+                if regrasps is None:
+                    heapq.heappop(queue)
+                    continue
+                following = self._after(search, regrasps)
+                found = following.find(width, lines) if following is not None else None
+                if following is not None and found is not None:
+                    return self._made(following, found)
+                if following is not None:
+                    add(following)
         return None
 
     def rule_out(self, assignment: Assignment, regrasp: Regrasp | None) -> None:
         """Exclude what a later stage could not make: the way to regrasp where that is to blame, else the arm and grasp."""
+        lost = {way: s for way, s in self._rearrangements.items() if any(regrasp is r for r in s.prologue)}
+        self._rearrangements = {way: s for way, s in self._rearrangements.items() if way not in lost}
         if isinstance(regrasp, Square):
             self.excluded.add(square_key(regrasp))
             self._searches = {k: s for k, s in self._searches.items() if s is None or all(regrasp is not r for r in s.prologue)}
@@ -71,6 +119,9 @@ class Scheduler:
                 self.excluded.add(_way(search.prologue))
                 self._searches = {k: s for k, s in self._searches.items() if k[: len(prepared)] != prepared}
                 return
+        if lost:
+            self.excluded.add(min(lost, key=len))
+            return
         own = key(assignment)
         self.excluded.add(own if regrasp is not None else own[:3])
 
@@ -116,15 +167,32 @@ class Scheduler:
         before = self._search(prepared[:-1])
         if before is None or before.carried is not None:
             return None
-        for regrasps in before.prepare(prepared[-1]):
-            prologue, last = (*before.prologue, *regrasps), regrasps[-1]
-            if _way(prologue) not in self.excluded and isinstance(last, PutDown):
-                poses = {**before.poses, last.piece: last.pose_down}
-                return Search(
-                    self.workcell, self.plan, self.feed, poses, self.start, self.rejections, self.excluded, self._effort,
-                    prologue,
-                )  # fmt: skip
-        return None
+        made = (self._after(before, regrasps) for regrasps in before.prepare(prepared[-1]))
+        return next((search for search in made if search is not None), None)
+
+    def _after(self, before: Search, regrasps: tuple[Regrasp, ...]) -> Search | None:
+        """The search after more regrasps before the first step; None where they end with no put-down, or are ruled out."""
+        prologue, last = (*before.prologue, *regrasps), regrasps[-1]
+        way = _way(prologue)
+        if way in self.excluded or not isinstance(last, PutDown):
+            return None
+        if way not in self._rearrangements:
+            poses = {**before.poses, last.piece: last.pose_down}
+            self._rearrangements[way] = Search(
+                self.workcell, self.plan, self.feed, poses, self.start, self.rejections, self.excluded, self._effort, prologue
+            )
+        return self._rearrangements[way]
+
+
+def _distinct(ways: Iterator[tuple[Regrasp, ...]]) -> Iterator[tuple[Regrasp, ...]]:
+    """Those that lay the piece down where none before did."""
+    seen: set[bytes] = set()
+    for regrasps in ways:
+        last = regrasps[-1]
+        place = np.round(last.pose_down, 2).tobytes() if isinstance(last, PutDown) else b""
+        if place not in seen:
+            seen.add(place)
+            yield regrasps
 
 
 def _way(prologue: tuple[Regrasp, ...]) -> tuple[object, ...]:

@@ -12,7 +12,7 @@ from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import readonly
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.equilibrium import classify
-from soma_bullet.task.assignments import Schedule
+from soma_bullet.task.assignments import PutDown, Schedule
 from soma_bullet.task.feed import Feed, FeedOptions, draw_feed
 from soma_bullet.task.grasps import grasp_poses
 from soma_bullet.task.holding import SMALLEST_MARGIN
@@ -138,6 +138,18 @@ def test_a_piece_out_of_reach(workcell: Workcell, plan: AssemblyPlan, feed: Feed
     assert {"BigL: left arm does not reach the feed", "BigL: right arm does not reach the feed"} <= reasons
     assert caught.value.stage == "schedule"
     assert "does not reach the feed" in str(caught.value)
+
+
+@pytest.mark.slow
+def test_pieces_are_laid_down_where_the_search_comes_farther(workcell: Workcell, plan: AssemblyPlan) -> None:
+    """BigL can only be brought to the held Z from some places of the table, and smallL then lies badly as well."""
+    scheduler = Scheduler(workcell, plan, draw_feed(workcell.assembly, plan, workcell.cell, 2001))
+    schedule = scheduler.find()
+    moved = [regrasp for a in schedule.assignments for regrasp in a.regrasps if isinstance(regrasp, PutDown)]
+    assert [regrasp.piece for regrasp in moved] == ["BigL", "smallL"]
+    scheduler.rule_out(schedule.assignments[0], moved[0])
+    other = [regrasp for a in scheduler.find().assignments for regrasp in a.regrasps if isinstance(regrasp, PutDown)]
+    assert all(not np.allclose(regrasp.pose_down, moved[0].pose_down) for regrasp in other)
 
 
 def test_a_search_without_success_ends(
