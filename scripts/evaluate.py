@@ -33,9 +33,13 @@ class SpreadArguments:
     mass: float = 0.2
     """The same of its factor on all masses."""
     mm: float = 0.5
-    """One sigma of the error of the perceived places [mm]."""
+    """One sigma of the error of the perceived places in x and in y [mm]; of uniform errors their largest length."""
     deg: float = 0.5
-    """One sigma of the error of the perceived yaws [deg]."""
+    """One sigma of the error of the perceived yaws [deg]; of uniform errors the largest."""
+    errors: Literal["normal", "uniform"] = "normal"
+    """How the errors of perception are spread: normal, or uniform over a disc and an interval."""
+    square: bool = True
+    """Whether inexactly perceived pieces are squared before they are picked; --spread.no-square: they are picked as seen."""
 
 
 @dataclass(frozen=True)
@@ -147,7 +151,7 @@ def _options(arguments: Arguments) -> EvaluationOptions:
         episodes=arguments.episodes,
         seed=arguments.seed,
         vary=_words(arguments.vary),
-        spread=Spread(spread.friction, spread.mass, spread.mm, spread.deg),
+        spread=Spread(spread.friction, spread.mass, spread.mm, spread.deg, spread.errors, spread.square),
         cell=arguments.cell,
         hand=arguments.hand,
         stability=arguments.stability,

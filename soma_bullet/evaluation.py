@@ -67,13 +67,16 @@ class Spread:
 
     Attributes:
         friction, mass: largest relative deviation of the factor on all friction coefficients, and on all masses; uniform.
-        mm, deg: one sigma of the error of the perceived places [mm] and yaws [deg].
+        mm, deg: one sigma of the error of the perceived places [mm] and yaws [deg]; of uniform errors the largest.
+        errors: how these are spread; square: whether pieces are squared against them. See FeedOptions.
     """
 
     friction: float = 0.2
     mass: float = 0.2
     mm: float = 0.5
     deg: float = 0.5
+    errors: Literal["normal", "uniform"] = "normal"
+    square: bool = True
 
 
 @dataclass(frozen=True)
@@ -111,7 +114,7 @@ class EvaluationOptions:
         vary = [name for name in VARIED if name in self.vary]
         spread = {f"--spread.{name}": getattr(self.spread, name) for name in ("friction", "mass") if name in vary}
         if "perception" in vary:
-            spread |= {"--spread.mm": self.spread.mm, "--spread.deg": self.spread.deg}
+            spread |= {f"--spread.{name}": getattr(self.spread, name) for name in ("mm", "deg", "errors", "square")}
         return {
             "--vary": ",".join(vary) or "none",
             **spread,
@@ -152,15 +155,16 @@ def draw(seed: int, options: EvaluationOptions) -> dict[str, float]:
 
 def episode_options(seed: int, options: EvaluationOptions) -> EpisodeOptions:
     """Everything that decides one episode."""
-    perception = (options.spread.mm, options.spread.deg) if "perception" in options.vary else (0.0, 0.0)
-    drawn = draw(seed, options)
-    poses: Literal["all", "preferred"] = "all" if "feed" in options.vary else "preferred"
+    drawn, spread = draw(seed, options), options.spread
+    feed = FeedOptions(poses="all" if "feed" in options.vary else "preferred")
+    if "perception" in options.vary:
+        feed = replace(feed, noise_mm=spread.mm, noise_deg=spread.deg, errors=spread.errors, square=spread.square)
     return EpisodeOptions(
         cell=options.cell,
         hand=options.hand,
         seed=seed,
         planner=PlannerOptions(stability=options.stability),
-        feed=FeedOptions(layout="random", noise_mm=perception[0], noise_deg=perception[1], poses=poses),
+        feed=feed,
         execution=options.execution,
         physics=Physics(friction=drawn.get("friction", 1.0), mass=drawn.get("mass", 1.0)),
         tolerance=options.tolerance,

@@ -68,7 +68,8 @@ Check = Callable[[], Iterator[Finding]]
 def doctor(arguments: list[str] | None = None) -> int:
     """Entry point of `soma-doctor` and of scripts/doctor.py. Prints a table; returns 0 if all that is needed works, else 1."""
     parser = argparse.ArgumentParser(
-        prog="soma-doctor", description="Checks the installation and the machine, and says what is wrong and what to do about it. "
+        prog="soma-doctor",
+        description="Checks the installation and the machine, and says what is wrong and what to do about it. "
         "Exit status: 0 if everything that is needed works (a warning is no fault), else 1.",
     )  # fmt: skip
     parser.parse_args(arguments)

@@ -24,7 +24,7 @@ EASED_SPEED, EASED_TIME = 0.01, 0.05  # [m/s], [s] of the first opening
 STALE = np.deg2rad(15.0)  # [rad] by which a hand may turn before the contacts of its pads are renewed
 FILTER = 4  # samples of the force that are averaged
 JAM = 1e-3  # [m] a guarded motion that stops farther from its end is jammed
-SEATED = 0.35e-3  # [m] a guided motion that meets resistance nearer to its end has arrived
+SEATED = 0.35e-3  # [m] a guided motion that meets resistance nearer to its end has arrived; on the table JAM will do
 EMPTY = 2e-3  # [m] pads nearer to each other than a piece's width less this hold nothing
 WATCH = 5  # samples between looks at the width of a hand that carries
 FALL, LOWERING = 1e-3, 8e-3  # [m], [m/s] of the last way straight down
@@ -273,7 +273,8 @@ class Executor:
         `place` gives the joints, `left` what is left [m].
         """
         world, arm = self.world, segment.arm
-        at, pace = 0.0, 1.0
+        at, pace = 0.0, 0.0
+        seated = JAM if segment.kind == "set_down" else SEATED
         recent: list[Array] = []
         while at < last:
             speed = 1.0
@@ -283,13 +284,16 @@ class Executor:
                 motion.peak = max(motion.peak, force)
                 motion.force = -world.wrist_axes(arm) @ sensed  # the sensor reports the reaction
                 motion.remaining = left(at)
-                if motion.remaining <= SEATED and force > segment.guard and float(motion.force @ guide.direction) < 0.0:
+                if motion.remaining <= seated and force > segment.guard and float(motion.force @ guide.direction) < 0.0:
                     motion.outcome = "stopped early" if motion.remaining > 0.0 else "as planned"
                     return at
                 speed = guide.update(motion.force, DT)
                 if guide.failed:
                     lies = guide.failed == "not found" and motion.remaining <= JAM  # it goes no deeper anywhere
                     motion.outcome, motion.reason = "stopped early" if lies else "jammed", guide.failed
+                    while lies and not guide.recentre(DT):
+                        world.command_arm(arm, place(at, guide))
+                        yield
                     return at
             pace = min(speed, pace + DT / SLOW)
             at = float(np.clip(at + pace, 0.0, last))

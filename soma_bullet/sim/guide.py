@@ -22,7 +22,8 @@ class Compliance:
         press: resistance at which the hand advances no further, and backs off beyond it [N].
         search: resistance from which it searches [N].
         give: sideways speed for each newton [m/s/N], of forces beyond `dead` [N].
-        speed: of the search [m/s]; pitch: between two turns of its spiral [m]; reach: its largest radius [m].
+        speed: of the search [m/s]; pitch: between two turns of its spiral [m].
+        reach: how far aside of its path the hand may get [m].
         limit: force at which the insertion is given up [N].
     """
 
@@ -81,11 +82,19 @@ class Guide:
         radius = per_turn * self._turned
         self._turned += c.speed * dt / max(radius, c.pitch)
         radius = per_turn * self._turned
-        if radius > c.reach:
+        if radius > c.reach + float(np.linalg.norm(self._centre)):  # all within reach has been tried
             self.failed = "not found"
             return
         first, second = self._across
-        self.offset = self._centre + radius * (np.cos(self._turned) * first + np.sin(self._turned) * second)
+        aside = radius * (np.cos(self._turned) * first + np.sin(self._turned) * second)
+        self.offset = self._bounded(self._centre + aside)
+
+    def recentre(self, dt: float) -> bool:
+        """Go back to where the search began, for `dt` [s]; returns whether it is there."""
+        way = self._centre - self.offset
+        length, step = float(np.linalg.norm(way)), self.compliance.speed * dt
+        self.offset = self._centre if length <= step else self.offset + way * (step / length)
+        return length <= step
 
     def _bounded(self, offset: Array) -> Array:
         length = float(np.linalg.norm(offset))

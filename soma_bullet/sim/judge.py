@@ -8,7 +8,7 @@ import numpy as np
 
 from soma_bullet.assembly.contacts import SUPPORT
 from soma_bullet.assembly.model import Assembly
-from soma_bullet.frames import Array, apply, inverse, rotation_angle
+from soma_bullet.frames import Array, Indices, apply, inverse, rotation_angle
 from soma_bullet.robot.cell import Cell
 from soma_bullet.sim.log import ExecutionLog, SegmentRecord
 
@@ -75,13 +75,28 @@ class ForbiddenContact:
 
 @dataclass(frozen=True)
 class InsertionForce:
-    """Peak change of the wrist's force in an insertion [N], and how it ended."""
+    """One insertion: the slow last part of it, between the start and the end of its `place` segment.
+
+    Attributes:
+        peak_n: largest change of the wrist's force [N].
+        outcome, remaining_mm: how it ended, and the travel that was left [mm]; see SegmentRecord.
+        went_in: whether the piece was within the tolerance of its goal at the end, still in the hand.
+        along_mm, across_mm: displacement of its centre of mass from the goal then: along the insertion, negative where it fell
+            short, and across it.
+        error_deg: its rotation then.
+        neighbours_mm: largest motion of any vertex of any piece that was placed before, against the start; 0 where none was.
+    """
 
     piece: str
     arm: str
     peak_n: float
     outcome: str
     remaining_mm: float
+    went_in: bool = False
+    along_mm: float = 0.0
+    across_mm: float = 0.0
+    error_deg: float = 0.0
+    neighbours_mm: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -143,11 +158,7 @@ def judge(log: ExecutionLog, assembly: Assembly, cell: Cell, tolerance: Toleranc
         slips=tuple(_slips(log)),
         holds=tuple(_holds(log)),
         forbidden=forbidden,
-        insertions=tuple(
-            InsertionForce(s.piece, s.arm, s.peak_force, s.outcome, s.remaining * 1e3)
-            for s in log.segments
-            if s.kind == "place"
-        ),
+        insertions=tuple(_insertion(log, assembly, s, tolerance) for s in log.segments if s.kind == "place"),
         dropped=dropped,
         limits=limits,
         makespan_s=max((s.end for s in moving), default=0.0),
@@ -164,6 +175,31 @@ def _piece(log: ExecutionLog, assembly: Assembly, k: int, tolerance: Tolerance) 
     error_deg = float(np.rad2deg(rotation_angle(final[:3, :3], goal[:3, :3])))
     in_place = error_mm <= tolerance.mm and error_deg <= tolerance.deg
     return PieceVerdict(piece.name, error_mm, float(vertices.max()) * 1e3, error_deg, in_place)
+
+
+def _insertion(log: ExecutionLog, assembly: Assembly, record: SegmentRecord, tolerance: Tolerance) -> InsertionForce:
+    samples, k = log.between(record.start, record.end), assembly.index(record.piece)
+    facts = record.piece, record.arm, record.peak_force, record.outcome, record.remaining * 1e3
+    if not len(samples):
+        return InsertionForce(*facts)
+    piece, goal = assembly.pieces[k], log.T_world_assembly @ assembly.goals[k]
+    end = log.piece_pose(int(samples[-1]), record.piece)
+    shift = (apply(end, piece.center_of_mass) - apply(goal, piece.center_of_mass)) * 1e3
+    direction = record.offset / max(float(np.linalg.norm(record.offset)), 1e-12)
+    along = float(shift @ direction)
+    across = float(np.linalg.norm(shift - along * direction))
+    turn = float(np.rad2deg(rotation_angle(end[:3, :3], goal[:3, :3])))
+    went_in = float(np.linalg.norm(shift)) <= tolerance.mm and turn <= tolerance.deg
+    placed = {s.piece for s in log.segments if s.kind == "place" and s.end <= record.start} - {record.piece}
+    moved = max((_travel(log, assembly, name, samples) for name in placed), default=0.0)
+    return InsertionForce(*facts, went_in, along, across, turn, moved)
+
+
+def _travel(log: ExecutionLog, assembly: Assembly, name: str, samples: Indices) -> float:
+    """Largest displacement [mm] of any vertex of a piece against the first of some samples."""
+    vertices = assembly.pieces[assembly.index(name)].vertices
+    places = np.array([apply(log.piece_pose(int(i), name), vertices) for i in samples])
+    return float(np.linalg.norm(places - places[0], axis=2).max()) * 1e3
 
 
 CARRYING = ("lift", "transfer", "lower", "insert", "place", "set_down")

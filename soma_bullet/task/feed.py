@@ -31,7 +31,10 @@ class FeedOptions:
 
     Attributes:
         layout: `random` draws places and yaws; `rows` lays the pieces out evenly, without yaw.
-        noise_mm, noise_deg: one sigma of what the perceived poses are off by, in x, y [mm] and yaw [deg].
+        noise_mm, noise_deg: one sigma of what the perceived poses are off by, in x, y [mm] and yaw [deg]; of uniform errors the
+            largest, in any direction.
+        errors: `normal`, or `uniform` over a disc and an interval.
+        square: pieces of an inexact feed are squared before they are picked; else they are picked as seen.
         poses: `all` draws each piece's resting pose among the steady ones; `preferred` takes the one with the most grasps that
             also serve at the goal, as `rows` always does.
     """
@@ -40,6 +43,15 @@ class FeedOptions:
     noise_mm: float = 0.0
     noise_deg: float = 0.0
     poses: Literal["all", "preferred"] = "all"
+    errors: Literal["normal", "uniform"] = "normal"
+    square: bool = True
+
+    @property
+    def noise(self) -> tuple[float, float]:
+        """One sigma of the errors [mm], [deg], as in `Feed`; of uniform ones what has them end at SIGMAS times that."""
+        if self.errors == "uniform":
+            return self.noise_mm / SIGMAS, self.noise_deg / SIGMAS
+        return self.noise_mm, self.noise_deg
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +64,8 @@ class Feed:
         overlaps: draws rejected because two pieces would overlap.
         regrasps_needed: pieces that lie so that no grasp serves both there and at the goal.
         seed: of the draw.
-        noise: one sigma of what the poses may be off by: in x and y [mm], in yaw [deg].
+        noise: one sigma of what the poses may be off by: in x and y [mm], in yaw [deg]; SIGMAS times that is made room for.
+        square: whether pieces are squared where there is noise.
     """
 
     names: tuple[str, ...]
@@ -61,6 +74,7 @@ class Feed:
     regrasps_needed: int
     seed: int
     noise: tuple[float, float] = (0.0, 0.0)
+    square: bool = True
 
     def pose(self, name: str) -> Array:
         """T_world_piece (4, 4) of one piece."""
@@ -160,7 +174,7 @@ def draw_feed(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int, opt
                 raise NoSolutionError("schedule", f"{name} does not fit into the feed areas beside the other pieces")
         outlines.append(outline)
         poses.append(pose)
-    return Feed(assembly.names, readonly(np.array(poses)), overlaps, needed, seed, (options.noise_mm, options.noise_deg))
+    return Feed(assembly.names, readonly(np.array(poses)), overlaps, needed, seed, options.noise, options.square)
 
 
 def _rows(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int, options: FeedOptions) -> Feed:
@@ -174,7 +188,7 @@ def _rows(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int, options
         poses[name] = make_transform(translation=place) @ preferred_resting_pose(assembly, plan, hand, name)
     placed = readonly(np.array([poses[name] for name in assembly.names]))
     needed = sum(not len(serving_grasps(assembly, plan, hand, *item)) for item in zip(assembly.names, placed, strict=True))
-    return Feed(assembly.names, placed, 0, needed, seed, (options.noise_mm, options.noise_deg))
+    return Feed(assembly.names, placed, 0, needed, seed, options.noise, options.square)
 
 
 def misplace(assembly: Assembly, feed: Feed, options: FeedOptions, seed: int) -> Feed:
@@ -182,11 +196,24 @@ def misplace(assembly: Assembly, feed: Feed, options: FeedOptions, seed: int) ->
     if options.noise_mm == 0.0 and options.noise_deg == 0.0:
         return feed
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0x0FF,)))
+    draw = _uniform if options.errors == "uniform" else _normal
     poses = np.array(feed.poses)
     for piece, pose in zip(assembly.pieces, poses, strict=True):
-        turn = rotation_about((0, 0, 1), np.deg2rad(rng.normal(0.0, options.noise_deg)))
+        yaw, shift = draw(rng, options.noise_mm * 1e-3, options.noise_deg)
+        turn = rotation_about((0, 0, 1), np.deg2rad(yaw))
         centre = apply(pose, piece.center_of_mass)
         pose[:3, :3] = turn @ pose[:3, :3]
         pose[:3, 3] = centre + turn @ (pose[:3, 3] - centre)
-        pose[:2, 3] += rng.normal(0.0, options.noise_mm * 1e-3, 2)
+        pose[:2, 3] += shift
     return replace(feed, poses=readonly(poses))
+
+
+def _normal(rng: np.random.Generator, length: float, angle: float) -> tuple[float, Array]:
+    """Yaw [deg] and shift (2,) [m] of the given sigmas."""
+    return rng.normal(0.0, angle), rng.normal(0.0, length, 2)
+
+
+def _uniform(rng: np.random.Generator, length: float, angle: float) -> tuple[float, Array]:
+    """Yaw [deg] within +-angle and shift (2,) [m] in a disc of radius `length`."""
+    yaw, towards = rng.uniform(-angle, angle), rng.uniform(-np.pi, np.pi)
+    return yaw, length * np.sqrt(rng.uniform()) * np.array((np.cos(towards), np.sin(towards)))

@@ -176,7 +176,7 @@ class Fetcher:
 
     def squares(self, view: View, arm: int, grip: Grip, pick: Pick) -> tuple[Square, ...]:
         """What makes the place of a piece of the feed exact before an arm picks it; nothing where it is exact already."""
-        if not self.off(view.piece):
+        if not self.feed.square or not self.off(view.piece):
             return ()
         ruled_out = frozenset(entry for entry in self.excluded if entry[0] == SQUARE)
         key = (SQUARE, *view.key, arm, grip.T_piece_tcp.tobytes(), ruled_out)

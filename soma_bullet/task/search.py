@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from soma_bullet.errors import NoSolutionError
-from soma_bullet.frames import Array, Indices, Mask, apply, inverse, readonly
+from soma_bullet.frames import Array, Indices, Mask, inverse, readonly
 from soma_bullet.grasp.clearance import MARGIN, hand_hulls, sweep_hand
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.assist import HoldCertificate
@@ -26,8 +26,10 @@ from soma_bullet.task.feed import Feed
 from soma_bullet.task.fetch import CHAINS, Action, Fetcher, View
 from soma_bullet.task.guarded import guarded_length
 from soma_bullet.task.holding import SMALLEST_MARGIN, Holding, State
+from soma_bullet.task.options import Candidate, OptionFinder
 from soma_bullet.task.spots import comfort, spread
 from soma_bullet.task.tracing import Effort, Grip, Mover, TooManyLines, Tracer
+from soma_bullet.task.turns import Option, Turns
 from soma_bullet.task.workcell import Hands, Workcell
 
 RUN_IN = 0.012  # [m] of insertion beyond the piece's own size
@@ -35,23 +37,15 @@ LOOKED_AT = 12  # as many candidates as are wanted are looked at before the piec
 SHALLOW = 8  # candidates a step; no more, and a piece that one grasp can bring is not regrasped
 DEEP = 72  # candidates a step; more, and more goal grasps are regrasped
 REGRASPED, WAYS = 6, 2  # goal grasps that are brought about by regrasps, and ways of each kind for one of them
-BESIDE, PAST = 0.10, 5.0  # [m] farther that an arm reaches without being in the way, and the cost of each metre beyond
-AGAIN = 0.4  # cost of an arm that fetches right after it has inserted
 PREPARATIONS: tuple[tuple[Action, ...], ...] = (("put down",), ("hand over", "put down"), ("put down", "put down"))
 NEAREST, STRAIGHTEST = 4e-3, np.deg2rad(8.0)  # [m], [rad] a carried piece sits in one of its grasps within this
-
-
-@dataclass(frozen=True, eq=False)
-class _Candidate:
-    arm: int
-    grip: Grip
 
 
 @dataclass(frozen=True, eq=False)
 class _Placing:
     """The end of a step: how the piece goes in, and what happens afterwards."""
 
-    candidate: _Candidate
+    candidate: Candidate
     q_goal: Array
     q_ready: Array
     certificate: HoldCertificate | None
@@ -81,6 +75,7 @@ class Search:
         self.fetcher = Fetcher(self.tracer, plan, feed, excluded)
         self.hand = self.fetcher.hand
         self.holding = Holding(self.tracer, plan, self.fetcher)
+        self.finder = OptionFinder(workcell, self.fetcher, self._lines_in)
         self._slow: dict[int, float] = {}
         self._insertions: dict[tuple[int, int, bytes], list[Array]] = {}
         self.poses = dict(poses)
@@ -100,9 +95,10 @@ class Search:
         Raises:
             NoSolutionError: a piece is out of reach.
         """
+        turns = self.turns  # their lines do not count
         self.tracer.most_lines = self.tracer.lines + lines
         try:
-            for assignments in self._search(self.first, self._initial(), width):
+            for assignments in self._search(self.first, self._initial(), width, None, turns):
                 if self.prologue and assignments:
                     assignments[0] = replace(assignments[0], regrasps=(*self.prologue, *assignments[0].regrasps))
                 return tuple(assignments)
@@ -121,7 +117,7 @@ class Search:
         turns = []
         for arm in view.free:
             cost = comfort(self.robot, arm, self.workcell.settled[view.piece] @ graph.poses[chosen]) - graph.contact[chosen]
-            turns.append([_Candidate(arm, graph.grip(g)) for g in spread(graph.poses, chosen, cost)])
+            turns.append([Candidate(arm, graph.grip(g)) for g in spread(graph.poses, chosen, cost)])
         candidates = [c for turn in itertools.zip_longest(*turns) for c in turn if c is not None]
         usable = [c for c in candidates[: LOOKED_AT * REGRASPED] if self._lines_in(k, c)][: 2 * REGRASPED]
         for actions in PREPARATIONS:
@@ -129,7 +125,8 @@ class Search:
                 ways = self.fetcher.chains(view, candidate.arm, candidate.grip, actions)
                 yield from (regrasps for regrasps, _ in itertools.islice(ways, 1))
 
-    def _search(self, k: int, state: State, width: int) -> Iterator[list[Assignment]]:
+    def _search(self, k: int, state: State, width: int, previous: Option | None, turns: Turns) -> Iterator[list[Assignment]]:
+        """Schedules from step k on, the step before which was done in a known way."""
         self.deepest = max(self.deepest, k)
         if k == len(self.plan.steps):
             yield []
@@ -137,19 +134,27 @@ class Search:
         view, found = self._view(k, state), False
         if (*view.key, width) in self._dead:
             return
-        for assignment, after in self._assignments(k, state, view, width):
+        for assignment, after in self._assignments(k, state, view, width, turns.ranked(k, previous)):
             if key(assignment) in self.excluded or key(assignment)[:3] in self.excluded:
                 continue
-            for rest in self._search(k + 1, after, width):
+            done = self._as_option(assignment)
+            for rest in self._search(k + 1, after, width, done, turns):
                 found = True
                 yield [assignment, *rest]
         if not found:
             self._dead.add((*view.key, width))
 
-    def _assignments(self, k: int, state: State, view: View, width: int) -> Iterator[tuple[Assignment, State]]:
-        """The ways to do step k: direct ones first, then with regrasps, fewest and quickest first."""
+    def _as_option(self, a: Assignment) -> Option:
+        """How a step is done, for the one after it."""
+        joints, grip = np.array([a.q_goal, a.q_ready]), self.fetcher.graph(a.piece).grip(a.grasp)
+        return Option(a.arm, a.arm, grip, 0.0, joints, joints)
+
+    def _assignments(
+        self, k: int, state: State, view: View, width: int, ranked: Sequence[Option]
+    ) -> Iterator[tuple[Assignment, State]]:
+        """The ways to do step k: direct ones first, then with regrasps, fewest and quickest first; those before all others."""
         unsquared: list[tuple[Assignment, State]] = []
-        for candidate in self._direct(k, state, view, width):
+        for candidate in self._direct(k, state, view, width, ranked):
             for assignment, after in self._directly(k, state, view, candidate):
                 if assignment.regrasps or assignment.in_hand or not self.fetcher.off(view.piece):
                     yield assignment, after
@@ -163,7 +168,7 @@ class Search:
         if not self._in_reach(view):
             reason = f"{view.piece} cannot be picked where it is by any arm and grasp"
             raise NoSolutionError("schedule", reason, self.rejections)
-        placings = self._placings(k, state, REGRASPED if width <= DEEP else 4 * REGRASPED)
+        placings = self._placings(k, state, REGRASPED if width <= DEEP else 4 * REGRASPED, ranked)
         for actions in CHAINS:
             for placing in placings:
                 candidate = placing.candidate
@@ -236,17 +241,11 @@ class Search:
     def _in_reach(self, view: View) -> bool:
         """Whether any arm can pick the piece by any grasp at all."""
         graph = self.fetcher.graph(view.piece)
-        grips = [graph.grip(int(g)) for g in spread(graph.poses, *self._clear_grasps(view))]
+        grips = [graph.grip(int(g)) for g in spread(graph.poses, *self.finder.clear_grasps(view))]
         arms = range(len(self.workcell.cell.arms))
         return view.carrying is not None or any(
             self.fetcher.picks_alone(view, view.source, arm, grip) for grip in grips for arm in arms
         )
-
-    def _clear_grasps(self, view: View) -> tuple[Indices, Array]:
-        """Grasps that serve where the piece is, and how tilted the hand is [rad]."""
-        indices = np.flatnonzero(self.fetcher.clear_at(view, view.source))
-        tcp = view.source @ self.fetcher.graph(view.piece).poses[indices]
-        return indices, np.arccos(np.clip(-tcp[:, 2, 2], -1, 1))
 
     def _allowed(self, k: int) -> set[int]:
         """Grasps of the step's piece that serve at the goal and while it is held."""
@@ -266,49 +265,28 @@ class Search:
         self.tracer.reject(step.piece, "hand meets a holding hand or a placed piece on its way in", met)
         return indices[clear]
 
-    def _arms(self, k: int, state: State, view: View, fetching: bool = True) -> list[int]:
-        """Free arms, the one first that is to fetch the piece of a step, or to insert it."""
-        fetcher, inserter = self._turns[k]
-        wished = fetcher if fetching else inserter
-        return sorted(view.free, key=lambda arm: (arm != wished, self._far(k)[arm]))
-
-    def _far(self, k: int) -> Array:
-        """How much farther than for the nearest arm the piece of a step is from each arm's base (arms,) [m]."""
-        piece = self.fetcher.graph(self.plan.steps[k].piece).piece
-        com = apply(self.poses[piece.name], piece.center_of_mass)
-        bases = [arm.T_world_base[:3, 3] for arm in self.workcell.cell.arms]
-        away = np.linalg.norm(com - np.array(bases), axis=1)
-        return np.array(np.round(away - away.min(), 9))
-
     @cached_property
-    def _turns(self) -> dict[int, tuple[int, int]]:
-        """The arms that are to fetch and to insert the piece of each step, chosen together: cheapest over all steps.
-
-        An arm that reaches past the stand is in the other's way, and one that fetches right after it has inserted could not
-        fetch meanwhile. Where no grasp serves both where the piece lies and at the goal, another arm inserts it.
-        """
-        arms = range(len(self.workcell.cell.arms))
-        best: dict[int, tuple[float, tuple[tuple[int, int], ...]]] = {-1: (0.0, ())}  # by the arm that inserted last
+    def turns(self) -> Turns:
+        """The options of all steps, as if both arms were free at each of them."""
+        options = {}
         for k in range(self.first, len(self.plan.steps)):
-            far = PAST * np.maximum(self._far(k) - BESIDE, 0.0)
-            piece = self.plan.steps[k].piece
-            serving = np.zeros(len(self.fetcher.graph(piece).poses), bool)
-            serving[sorted(self._allowed(k))] = True
-            direct = bool((serving & self.fetcher.clear_at(self._view(k, self._initial()), self.poses[piece])).any())
-            found: dict[int, tuple[float, tuple[tuple[int, int], ...]]] = {}
-            for last, (cost, turns) in best.items():
-                for arm in arms:
-                    for inserter in arms:
-                        if (inserter == arm) != direct and len(arms) > 1:
-                            continue
-                        total = round(cost + float(far[arm]) + AGAIN * (arm == last) + 0.01 * float(self._far(k)[arm]), 9)
-                        found[inserter] = min(found.get(inserter, (np.inf, ())), (total, (*turns, (arm, inserter))))
-            best = found
-        chosen = min(best.values())[1]
-        return {self.first + n: turn for n, turn in enumerate(chosen)}
+            view = self._view(k, self._initial())
+            options[k] = self.finder.options(k, view, np.array(sorted(self._allowed(k)), int))
+        return Turns(self.workcell, options)
 
-    def _direct(self, k: int, state: State, view: View, width: int) -> Iterator[_Candidate]:
-        """Grasps that serve where the piece is and at the goal, with arms; of every direction one, the most promising first."""
+    def _first_of(self, ranked: Sequence[Option], direct: bool, view: View, indices: Indices) -> list[Candidate]:
+        """Candidates of the options, among some grasps and the free arms: as they are, or as what inserts after regrasps."""
+        chosen = set(indices.tolist())
+        serving = [o for o in ranked if o.grip.index in chosen and o.inserter in view.free]
+        return _distinct(Candidate(o.inserter, o.grip) for o in serving if not direct or o.fetcher == o.inserter)
+
+    def _arms(self, view: View, ranked: Sequence[Option], fetching: bool = True) -> list[int]:
+        """Free arms, the one first that is to fetch the piece of a step, or to insert it."""
+        wished = [o.fetcher if fetching else o.inserter for o in ranked]
+        return sorted(view.free, key=lambda arm: wished.index(arm) if arm in wished else len(wished))
+
+    def _direct(self, k: int, state: State, view: View, width: int, ranked: Sequence[Option]) -> Iterator[Candidate]:
+        """Grasps that serve where the piece is and at the goal, with arms: the options, then of every direction one."""
         if view.carrying is not None:
             yield from self._carried_candidate(k, view)
             return
@@ -317,35 +295,33 @@ class Search:
         touched = int((~clear).sum())
         self.tracer.reject(view.piece, "hand touches the table or a piece at the feed", touched)
         indices = indices[clear]
-        tcp = view.source @ graph.poses[indices]
-        reach = np.linalg.norm(tcp[:, :3, 3] - apply(view.source, graph.piece.center_of_mass), axis=1)
-        tilt = np.arccos(np.clip(-tcp[:, 2, 2], -1, 1))
-        cost = reach / 0.03 + (1 - graph.contact[indices]) + 0.5 * tilt
-        arms = self._arms(k, state, view)
-        groups: dict[tuple[float, ...], list[_Candidate]] = {}  # by arm and direction of the hand: each may fail as a whole
+        cost = self.finder.awkwardness(view, indices)
+        arms = self._arms(view, ranked)
+        groups: dict[tuple[float, ...], list[Candidate]] = {}  # by arm and direction of the hand: each may fail as a whole
         for rank in np.argsort(np.round(cost, 9), kind="stable"):
             g = int(indices[rank])
             for arm in arms:
                 T = graph.poses[g]
                 groups.setdefault((arm, *np.round(T[:3, 2] * 4), *np.round(T[:3, 0] * 4)), []).append(
-                    _Candidate(arm, graph.grip(g))
+                    Candidate(arm, graph.grip(g))
                 )
         found = 0
         turns = (c for turn in itertools.zip_longest(*groups.values()) for c in turn if c is not None)
-        for candidate in itertools.islice(turns, LOOKED_AT * width):
+        first = self._first_of(ranked, True, view, indices)
+        for candidate in _distinct(itertools.chain(first, turns))[: LOOKED_AT * width]:
             if self._lines_in(k, candidate) and self.fetcher.picks_alone(view, view.source, candidate.arm, candidate.grip):
                 yield candidate
                 found += 1
                 if found == width:
                     return
 
-    def _carried_candidate(self, k: int, view: View) -> Iterator[_Candidate]:
+    def _carried_candidate(self, k: int, view: View) -> Iterator[Candidate]:
         """The piece goes in by the grip that an arm has of it, if that is one of those that serve."""
         assert view.carrying is not None
         arm, grip = view.carrying
         index, off, turned = self.fetcher.graph(view.piece).nearest(grip.T_piece_tcp)
         if index in self.plan.steps[k].grasps and off < NEAREST and turned < STRAIGHTEST:
-            yield _Candidate(arm, grip)
+            yield Candidate(arm, grip)
         else:
             self.tracer.reject(view.piece, "it sits in the hand as no grasp for the goal has it")
 
@@ -367,25 +343,27 @@ class Search:
 
     # --- one step ------------------------------------------------------------------------------------------------------
 
-    def _directly(self, k: int, state: State, view: View, candidate: _Candidate) -> Iterator[tuple[Assignment, State]]:
+    def _directly(self, k: int, state: State, view: View, candidate: Candidate) -> Iterator[tuple[Assignment, State]]:
         """The step without regrasps."""
         if (k, candidate.arm, candidate.grip.index) in self.excluded:
             return
         for regrasps, pick in self.fetcher.chains(view, candidate.arm, candidate.grip, ()):
-            placing = self._placing(k, state, candidate)
+            placing = self._placing(k, state, candidate, pick)
             if placing is not None:
                 yield self._assignment(k, view, placing, regrasps, pick), placing.after
 
-    def _placings(self, k: int, state: State, count: int) -> list[_Placing]:
-        """Ways to put the piece in its place, whatever brings it into the hand: of every direction one, best contact first."""
+    def _placings(self, k: int, state: State, count: int, ranked: Sequence[Option]) -> list[_Placing]:
+        """Ways to put the piece in its place, whatever brings it: the options, then the best contact of every direction."""
         graph, indices = self.fetcher.graph(self.plan.steps[k].piece), self._chosen(k, state)
         goal, found = self.workcell.settled[self.plan.steps[k].piece], []
         turns = []
-        for arm in self._arms(k, state, self._view(k, state), fetching=False):
+        view = self._view(k, state)
+        for arm in self._arms(view, ranked, fetching=False):
             cost = comfort(self.robot, arm, goal @ graph.poses[indices]) + 2 * (1 - graph.contact[indices])
-            turns.append([_Candidate(arm, graph.grip(g)) for g in spread(graph.poses, indices, cost)])
+            turns.append([Candidate(arm, graph.grip(g)) for g in spread(graph.poses, indices, cost)])
         candidates = (c for turn in itertools.zip_longest(*turns) for c in turn if c is not None)
-        for candidate in itertools.islice(candidates, LOOKED_AT * count):
+        first = self._first_of(ranked, False, view, indices)
+        for candidate in _distinct(itertools.chain(first, candidates))[: LOOKED_AT * count]:
             if (k, candidate.arm, candidate.grip.index) in self.excluded or not self._lines_in(k, candidate):
                 continue
             placing = self._placing(k, state, candidate)
@@ -395,8 +373,8 @@ class Search:
                     break
         return found
 
-    def _placing(self, k: int, state: State, candidate: _Candidate) -> _Placing | None:
-        """Insertion and what follows it, or None with the reason counted."""
+    def _placing(self, k: int, state: State, candidate: Candidate, pick: Pick | None = None) -> _Placing | None:
+        """Insertion, soon after the pick if there is one, and what follows it; or None with the reason counted."""
         step, certificate = self.plan.steps[k], None
         if any(hold.piece == step.piece and not hold.taken for hold in step.holds):
             certificate = self.holding.certificate(k, step.piece, candidate.grip)
@@ -404,7 +382,8 @@ class Search:
                 self.tracer.reject(step.piece, f"the hold would slip (margin below {SMALLEST_MARGIN:g})")
                 return None
         hands = state.hands.gripping(candidate.arm, step.piece)
-        for line in self._lines_in(k, candidate):
+        lines = self._lines_in(k, candidate) if pick is None else self.finder.nearest(k, candidate, pick.q_lifted)
+        for line in lines:
             if not self.tracer.free("insertion", self._inserter(k, hands, state.placed, candidate), line):
                 continue
             changes = self.holding.changes(k, state, candidate.arm, candidate.grip, line[0], self._lying(k))
@@ -413,7 +392,7 @@ class Search:
             break
         return None
 
-    def _lines_in(self, k: int, candidate: _Candidate) -> list[Array]:
+    def _lines_in(self, k: int, candidate: Candidate) -> list[Array]:
         """Insertions of all branches that are free of table, stand, pieces and the arm itself."""
         memory = (k, candidate.arm, candidate.grip.T_piece_tcp.tobytes())
         if memory not in self._insertions:
@@ -441,7 +420,7 @@ class Search:
         early = piece in [s.piece for s in self.plan.steps[: self.first]]
         return self.workcell.stands(piece, self.poses[piece]) if early else self.workcell.settled[piece]
 
-    def _inserter(self, k: int, hands: Hands, placed: dict[str, Array], candidate: _Candidate, alone: bool = False) -> Mover:
+    def _inserter(self, k: int, hands: Hands, placed: dict[str, Array], candidate: Candidate, alone: bool = False) -> Mover:
         step = self.plan.steps[k]
         meant = frozenset(pair for pair in self.workcell.touching if step.piece in pair)
         carried = (step.piece, inverse(candidate.grip.T_piece_tcp))
@@ -469,6 +448,14 @@ class Search:
             holds={name: arm for arm, name in placing.after.hands.gripped.items()},
             takes=placing.takes, releases=placing.releases, certificate=placing.certificate,
         )  # fmt: skip
+
+
+def _distinct(candidates: Iterable[Candidate]) -> list[Candidate]:
+    """The candidates, each arm and grasp once."""
+    found: dict[tuple[int, int], Candidate] = {}
+    for candidate in candidates:
+        found.setdefault((candidate.arm, candidate.grip.index), candidate)
+    return list(found.values())
 
 
 def key(assignment: Assignment) -> tuple[object, ...]:

@@ -1,0 +1,389 @@
+"""Which of two: evaluation runs compared seed by seed, as whole episodes and insertion by insertion.
+
+Both runs see the same feeds, so what counts is where they differ: the exact McNemar test asks how likely so uneven a difference
+would be if neither run were better (Q. McNemar, 1947).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import binom, binomtest
+
+from soma_bullet.errors import InputError
+from soma_bullet.evaluation import LINES, Line, read_lines, wilson
+
+COMPARISON = "comparison.json"
+CONFIDENCE = 0.95
+PER_SEED = ("seed", "physics.friction", "physics.mass")  # of an episode's options: drawn, or its number
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """How often what was tried in A and in B went well."""
+
+    both: int = 0
+    only_a: int = 0
+    only_b: int = 0
+    neither: int = 0
+
+    @property
+    def count(self) -> int:
+        """Of all pairs."""
+        return self.both + self.only_a + self.only_b + self.neither
+
+    @property
+    def p(self) -> float:
+        """Exact two-sided McNemar test: how likely a difference so uneven would be if neither were better."""
+        differing = self.only_a + self.only_b
+        return float(binomtest(self.only_a, differing).pvalue) if differing else 1.0
+
+    @staticmethod
+    def of(outcomes: Iterable[tuple[bool, bool]]) -> Pairs:
+        """Counted from (well in A, well in B)."""
+        found = list(outcomes)
+        return Pairs(*(found.count(kind) for kind in ((True, True), (True, False), (False, True), (False, False))))
+
+
+@dataclass(frozen=True)
+class Rate:
+    """How many of how many, with the 95 % Wilson interval; of nothing it is 0 to 1."""
+
+    good: int
+    count: int
+    low: float
+    high: float
+
+    @staticmethod
+    def of(good: int, count: int) -> Rate:
+        """With its interval."""
+        return Rate(good, count, *(wilson(good, count) if count else (0.0, 1.0)))
+
+
+@dataclass(frozen=True)
+class Contrast:
+    """One number of every pair.
+
+    Attributes:
+        count: of pairs.
+        median_a, median_b: NaN where there are none; difference: the median of B less A.
+        low, high: 95 % interval of that median, from order statistics; infinite where there are too few pairs.
+    """
+
+    count: int
+    median_a: float
+    median_b: float
+    difference: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Extremes:
+    """Of some numbers, NaN where there are none."""
+
+    count: int
+    median: float
+    p95: float
+    largest: float
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One insertion of one run, as its line has it.
+
+    Attributes:
+        error_mm: displacement of the centre of mass from the goal at its end [mm].
+        went_in, outcome, peak_n, neighbours_mm, error_deg: see InsertionForce.
+    """
+
+    went_in: bool
+    outcome: str
+    error_mm: float
+    error_deg: float
+    peak_n: float
+    neighbours_mm: float
+
+
+@dataclass(frozen=True)
+class InsertionPair:
+    """The first insertion of one piece in both episodes of one seed."""
+
+    seed: int
+    piece: str
+    a: Attempt
+    b: Attempt
+
+
+@dataclass(frozen=True)
+class Insertions:
+    """Insertions paired by seed and piece, of each episode up to the first that did not go in in A or in B.
+
+    Attributes:
+        pairs: how often they went in; rate_a, rate_b: over these pairs; p: see Pairs.
+        rescued: of those that did not go in in A, how many did in B; spoilt: the other way round.
+        unpaired: insertions that one run reached and the other did not.
+        later: reached in both runs, after one that failed in either: nothing is the same from there on.
+        peak_a, peak_b: peak force of the paired ones [N]; neighbours_a, neighbours_b: motion of what was in place before [mm].
+        all_peak_a, all_peak_b, all_neighbours_a, all_neighbours_b: the same of every insertion of the paired episodes.
+        compared: the pairs themselves.
+    """
+
+    pairs: Pairs
+    p: float
+    rate_a: Rate
+    rate_b: Rate
+    rescued: Rate
+    spoilt: Rate
+    unpaired: int
+    later: int
+    peak_a: Extremes
+    peak_b: Extremes
+    neighbours_a: Extremes
+    neighbours_b: Extremes
+    all_peak_a: Extremes
+    all_peak_b: Extremes
+    all_neighbours_a: Extremes
+    all_neighbours_b: Extremes
+    compared: tuple[InsertionPair, ...]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """An option, a version or the like in which the runs differ, as text."""
+
+    name: str
+    a: str
+    b: str
+
+
+@dataclass(frozen=True)
+class EpisodePair:
+    """Both episodes of one seed; numbers are NaN where nothing was executed.
+
+    Attributes:
+        cause_a, cause_b: of failure, empty on success.
+        makespan_a, makespan_b: [s]; worst_a, worst_b: displacement of the worst piece's centre of mass at the end [mm].
+    """
+
+    seed: int
+    success_a: bool
+    success_b: bool
+    cause_a: str
+    cause_b: str
+    makespan_a: float
+    makespan_b: float
+    worst_a: float
+    worst_b: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two runs, compared.
+
+    Attributes:
+        a, b: folders.
+        assembly: of A; differences: in what the runs differ.
+        unpaired_a, unpaired_b: seeds of one run alone.
+        pairs, p, rate_a, rate_b: of whole episodes.
+        makespan_s: where both succeeded; worst_mm: where both were executed.
+        insertions: None where the lines of either run do not say how insertions went.
+        episodes: the pairs, by seed.
+    """
+
+    a: str
+    b: str
+    assembly: str
+    differences: tuple[Difference, ...]
+    unpaired_a: int
+    unpaired_b: int
+    pairs: Pairs
+    p: float
+    rate_a: Rate
+    rate_b: Rate
+    makespan_s: Contrast
+    worst_mm: Contrast
+    insertions: Insertions | None
+    episodes: tuple[EpisodePair, ...]
+
+
+def compare(a: Path, b: Path, any_assembly: bool = False) -> Comparison:
+    """Compare two runs of scripts/evaluate.py, each a folder or its file of lines.
+
+    Args:
+        any_assembly: assemblies may differ, as long as their pieces have the same names.
+
+    Raises:
+        InputError: there are no lines, no common seeds, or different assemblies.
+    """
+    mine, theirs = _lines(a), _lines(b)
+    _check_assemblies(a, b, mine.values(), theirs.values(), any_assembly)
+    seeds = sorted(mine.keys() & theirs.keys())
+    if not seeds:
+        ranges = " and ".join(f"{min(lines)} to {max(lines)}" for lines in (mine, theirs))
+        raise InputError(f"{a}, {b}", f"have no seed in common: {ranges}")
+    paired = [(mine[seed], theirs[seed]) for seed in seeds]
+    pairs = Pairs.of((one["success"], other["success"]) for one, other in paired)
+    episodes = tuple(_episode(one, other) for one, other in paired)
+    return Comparison(
+        a=str(a),
+        b=str(b),
+        assembly=paired[0][0]["assembly"],
+        differences=tuple(_differences(paired)),
+        unpaired_a=len(mine) - len(seeds),
+        unpaired_b=len(theirs) - len(seeds),
+        pairs=pairs,
+        p=pairs.p,
+        rate_a=Rate.of(pairs.both + pairs.only_a, pairs.count),
+        rate_b=Rate.of(pairs.both + pairs.only_b, pairs.count),
+        makespan_s=contrast([(e.makespan_a, e.makespan_b) for e in episodes if e.success_a and e.success_b]),
+        worst_mm=contrast([(e.worst_a, e.worst_b) for e in episodes if np.isfinite([e.worst_a, e.worst_b]).all()]),
+        insertions=_insertions(paired),
+        episodes=episodes,
+    )
+
+
+# --- reading -----------------------------------------------------------------------------------------------------------
+
+
+def _lines(place: Path) -> dict[int, Line]:
+    file = place / LINES if place.is_dir() else place
+    if not file.is_file():
+        raise InputError(str(place), f"is no run of scripts/evaluate.py: there is no {LINES}")
+    lines = {line["seed"]: line for line in read_lines(file)}
+    if not lines:
+        raise InputError(str(file), "has no lines")
+    if not all({"assembly", "digest", "options", "versions", "episode", "success"} <= line.keys() for line in lines.values()):
+        raise InputError(str(file), "is not of this version of the package: its lines lack what is compared")
+    return lines
+
+
+def _check_assemblies(a: Path, b: Path, mine: Iterable[Line], theirs: Iterable[Line], any_assembly: bool) -> None:
+    kinds = []
+    for place, lines in ((a, list(mine)), (b, list(theirs))):
+        digests = {line["digest"] for line in lines}
+        if len(digests) > 1:
+            raise InputError(str(place), f"holds lines of {len(digests)} different assemblies")
+        names = next((tuple(sorted(p["name"] for p in line["pieces"])) for line in lines if line.get("pieces")), None)
+        kinds.append((lines[0]["assembly"], digests.pop(), names))
+    (name_a, digest_a, pieces_a), (name_b, digest_b, pieces_b) = kinds
+    if digest_a == digest_b:
+        return
+    what = f"were made of different assemblies: {name_a} ({digest_a[:12]}) and {name_b} ({digest_b[:12]})"
+    if pieces_a is not None and pieces_b is not None and pieces_a != pieces_b:
+        raise InputError(f"{a}, {b}", f"{what}, whose pieces have different names")
+    if not any_assembly:
+        raise InputError(f"{a}, {b}", f"{what}; --any-assembly compares them nevertheless")
+
+
+def _differences(paired: Sequence[tuple[Line, Line]]) -> Iterator[Difference]:
+    """In what the runs differ: options by their names on the command line, then what else of the episodes is not the same."""
+    parts: tuple[dict[str, Difference], ...] = ({}, {}, {})
+    for one, other in paired:
+        whole = ({"assembly": one["digest"][:12]}, {"assembly": other["digest"][:12]})
+        versions = [{f"version of {name}": v for name, v in line["versions"].items()} for line in (one, other)]
+        _note(parts[0], one["options"], other["options"])
+        _note(parts[1], *(_flat(line["episode"]) for line in (one, other)))
+        _note(parts[2], {**whole[0], **versions[0]}, {**whole[1], **versions[1]})
+        _note(parts[2], *({f"drawn {name}": v for name, v in line.get("drawn", {}).items()} for line in (one, other)))
+    said = {name.lstrip("-") for name in parts[0]}
+    yield from parts[0].values()
+    yield from (d for name, d in parts[1].items() if name not in PER_SEED and name.split(".")[-1] not in said)
+    yield from parts[2].values()
+
+
+def _note(found: dict[str, Difference], a: Mapping[str, Any], b: Mapping[str, Any]) -> None:
+    """Add what differs between two mappings, if it is not there yet."""
+    for name in dict.fromkeys([*a, *b]):
+        if a.get(name, "not given") != b.get(name, "not given"):
+            found.setdefault(name, Difference(name, str(a.get(name, "not given")), str(b.get(name, "not given"))))
+
+
+def _flat(tree: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for name, value in tree.items():
+        flat |= _flat(value, f"{path}{name}.") if isinstance(value, Mapping) else {f"{path}{name}": value}
+    return flat
+
+
+# --- episodes ----------------------------------------------------------------------------------------------------------
+
+
+def _episode(a: Line, b: Line) -> EpisodePair:
+    makespans = [float(line.get("makespan_s", np.nan)) for line in (a, b)]
+    worst = [max((float(p["error_mm"]) for p in line.get("pieces", ())), default=np.nan) for line in (a, b)]
+    well = bool(a["success"]), bool(b["success"])
+    return EpisodePair(a["seed"], *well, str(a.get("cause", "")), str(b.get("cause", "")), *makespans, *worst)
+
+
+def contrast(values: Sequence[tuple[float, float]]) -> Contrast:
+    """Of numbers in A and in B, pair by pair."""
+    if not values:
+        return Contrast(0, np.nan, np.nan, np.nan, -np.inf, np.inf)
+    a, b = np.array(values, float).T
+    difference, count = np.sort(b - a), len(values)
+    # as many values below the median as a fair coin gives heads: the interval leaves out at most 2.5 % on each side
+    out = int(binom.ppf((1.0 - CONFIDENCE) / 2, count, 0.5)) - 1
+    low, high = (difference[out], difference[-1 - out]) if out >= 0 else (-np.inf, np.inf)
+    return Contrast(count, float(np.median(a)), float(np.median(b)), float(np.median(difference)), float(low), float(high))
+
+
+def extremes(values: Sequence[float]) -> Extremes:
+    """Median, 95th percentile and largest of numbers."""
+    if not values:
+        return Extremes(0, np.nan, np.nan, np.nan)
+    median, p95 = np.percentile(values, [50, 95])
+    return Extremes(len(values), float(median), float(p95), float(max(values)))
+
+
+# --- insertions --------------------------------------------------------------------------------------------------------
+
+
+def _attempts(line: Line) -> dict[str, Attempt]:
+    """The first insertion of every piece, in the order of the episode."""
+    found: dict[str, Attempt] = {}
+    for item in line.get("insertions", ()):
+        off = float(np.hypot(item["along_mm"], item["across_mm"]))
+        facts = off, item["error_deg"], item["peak_n"], item["neighbours_mm"]
+        found.setdefault(item["piece"], Attempt(bool(item["went_in"]), item["outcome"], *map(float, facts)))
+    return found
+
+
+def _insertions(paired: Sequence[tuple[Line, Line]]) -> Insertions | None:
+    every = [item for lines in paired for line in lines for item in line.get("insertions", ())]
+    if not every or not all("went_in" in item for item in every):
+        return None
+    compared: list[InsertionPair] = []
+    unpaired = later = 0
+    for one, other in paired:
+        a, b = _attempts(one), _attempts(other)
+        unpaired += len(a.keys() ^ b.keys())
+        shared, comparable = [piece for piece in a if piece in b], 0
+        for piece in shared:
+            comparable += 1
+            compared.append(InsertionPair(one["seed"], piece, a[piece], b[piece]))
+            if not (a[piece].went_in and b[piece].went_in):
+                break
+        later += len(shared) - comparable
+    pairs = Pairs.of((pair.a.went_in, pair.b.went_in) for pair in compared)
+    everything = [[attempt for lines in paired for attempt in _attempts(lines[k]).values()] for k in (0, 1)]
+    mine, theirs = [pair.a for pair in compared], [pair.b for pair in compared]
+    peaks = [extremes([attempt.peak_n for attempt in group]) for group in (mine, theirs, *everything)]
+    neighbours = [extremes([attempt.neighbours_mm for attempt in group]) for group in (mine, theirs, *everything)]
+    return Insertions(
+        pairs=pairs,
+        p=pairs.p,
+        rate_a=Rate.of(pairs.both + pairs.only_a, pairs.count),
+        rate_b=Rate.of(pairs.both + pairs.only_b, pairs.count),
+        rescued=Rate.of(pairs.only_b, pairs.only_b + pairs.neither),
+        spoilt=Rate.of(pairs.only_a, pairs.only_a + pairs.neither),
+        unpaired=unpaired,
+        later=later,
+        peak_a=peaks[0], peak_b=peaks[1], all_peak_a=peaks[2], all_peak_b=peaks[3],
+        neighbours_a=neighbours[0], neighbours_b=neighbours[1], all_neighbours_a=neighbours[2], all_neighbours_b=neighbours[3],
+        compared=tuple(compared),
+    )  # fmt: skip

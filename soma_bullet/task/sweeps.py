@@ -1,0 +1,114 @@
+"""One arm along one segment, and whether two arms come too near to each other anywhere on their paths.
+
+Bisection over both paths at once shows it: two shapes are free of each other in a cell where their distance at its middle
+exceeds what their points can move within it (conservative advancement: B. Mirtich, 1996); those that are not are looked at
+again in its halves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from soma_bullet.frames import Array
+from soma_bullet.robot.silhouette import Placed, Silhouette, Track, apart
+from soma_bullet.task.segments import Context, Segment
+from soma_bullet.task.workcell import Workcell
+
+CLEARANCE = 0.015  # [m] kept between two arms that move at the same time
+GHOST_STEP = 0.05  # [m] between the places of the other arm around which a path is planned
+SMALLEST = 0.004  # [m] of motion below which a cell is not divided again, but counts as too near
+BATCH = 32  # cells that are looked at together
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """One arm along one segment, with what it carries and its hand as wide as it gets: its joints (n, 6)."""
+
+    silhouette: Silhouette
+    path: Array
+    change: float  # of a finger's place [m]
+
+    @classmethod
+    def of(cls, workcell: Workcell, before: Context, segment: Segment) -> Sweep:
+        path = segment.path if len(segment.path) else before.hands.qs[segment.arm][None]
+        first = float(before.hands.openings[segment.arm])
+        last = first if np.isnan(segment.opening) else segment.opening
+        silhouette = Silhouette(workcell.collision, segment.arm, max(first, last), before.carried.get(segment.arm))
+        return cls(silhouette, path, abs(last - first) / 2)
+
+    @classmethod
+    def at_rest(cls, workcell: Workcell, context: Context, arm: int) -> Sweep:
+        """An arm that stands where a context has it."""
+        carried = context.carried.get(arm)
+        silhouette = Silhouette(workcell.collision, arm, float(context.hands.openings[arm]), carried)
+        return cls(silhouette, context.hands.qs[arm][None], 0.0)
+
+    def part(self, first: int, last: int) -> Sweep:
+        """The arm along some samples of its path."""
+        return replace(self, path=self.path[first:last])
+
+    def still(self, sample: int) -> Sweep:
+        """The arm as it stands at a sample of its path."""
+        return replace(self, path=self.path[sample : sample + 1])
+
+    def at(self, sample: int) -> Placed:
+        """The arm at a sample of its path."""
+        return self.track.at(sample)
+
+    @cached_property
+    def track(self) -> Track:
+        """The arm at all samples."""
+        return self.silhouette.along(self.path)
+
+    def marks(self) -> list[int]:
+        """Samples along the path; between two of them no point moves by more than GHOST_STEP."""
+        arc = self.track.arcs.max(axis=1)
+        marks = np.searchsorted(arc, np.arange(0.0, arc[-1] + GHOST_STEP, GHOST_STEP))
+        return sorted(set(np.minimum(marks, len(self.path) - 1).tolist()))
+
+
+def meet(first: Sweep, second: Sweep) -> bool:
+    """Whether two arms come nearer than CLEARANCE to each other anywhere on their paths."""
+    one, two = first.track, second.track
+    slack = CLEARANCE + first.change + second.change
+    everything = np.ones((1, len(one.shapes), len(two.shapes)), bool)
+    cells, pairs = np.array([[0, len(first.path) - 1, 0, len(second.path) - 1]]), everything
+    while len(cells):
+        taken, cells = cells[-BATCH:], cells[:-BATCH]
+        doubted, pairs = pairs[-BATCH:], pairs[:-BATCH]
+        middles = (taken[:, 0::2] + taken[:, 1::2]) // 2
+        reaches = _reach(one.arcs, taken[:, :2], middles[:, 0]), _reach(two.arcs, taken[:, 2:], middles[:, 1])
+        needed = slack + reaches[0][:, :, None] + reaches[1][:, None]
+        gaps = np.linalg.norm(one.centres[middles[:, 0], :, None] - two.centres[middles[:, 1], None], axis=3)
+        doubted &= gaps - (one.radii[:, None] + two.radii) <= needed
+        for cell, i, j in np.argwhere(doubted).tolist():
+            between = apart(one.at(int(middles[cell, 0])), two.at(int(middles[cell, 1])), i, j)
+            if between > needed[cell, i, j]:
+                doubted[cell, i, j] = False
+            elif between <= slack or needed[cell, i, j] - slack < SMALLEST:
+                return True
+        left = doubted.any(axis=(1, 2))
+        farthest = [np.where(doubted.any(axis=3 - side), r, 0.0).max(axis=1) for side, r in enumerate(reaches, 1)]
+        halves, which = _halves(taken[left], middles[left], farthest[0][left] >= farthest[1][left])
+        cells, pairs = np.vstack([cells, halves]), np.concatenate([pairs, doubted[left][which]])
+    return False
+
+
+def _reach(arcs: Array, ends: Array, middles: Array) -> Array:
+    """How far (k, m) [m] any point of m shapes gets from where it is at the middles (k,) of stretches (k, 2) of a path."""
+    reach: Array = np.maximum(arcs[middles] - arcs[ends[:, 0]], arcs[ends[:, 1]] - arcs[middles])
+    return reach
+
+
+def _halves(cells: Array, middles: Array, first: Array) -> tuple[Array, Array]:
+    """Both halves of cells (k, 4), divided along the first path or along the second, and of which cell each is."""
+    low, high = cells.copy(), cells.copy()
+    at = np.where(first, 0, 2)
+    rows = np.arange(len(cells))
+    middle = np.where(first, middles[:, 0], middles[:, 1])
+    low[rows, at + 1] = middle
+    high[rows, at] = np.minimum(middle + 1, cells[rows, at + 1])
+    return np.vstack([low, high]), np.concatenate([rows, rows])
