@@ -287,7 +287,7 @@ class Executor:
                 if motion.remaining <= seated and force > segment.guard and float(motion.force @ guide.direction) < 0.0:
                     motion.outcome = "stopped early" if motion.remaining > 0.0 else "as planned"
                     return at
-                speed = guide.update(motion.force, DT)
+                speed = guide.update(motion.force, DT, motion.remaining, motion.remaining <= seated)
                 if guide.failed:
                     lies = guide.failed == "not found" and motion.remaining <= JAM  # it goes no deeper anywhere
                     motion.outcome, motion.reason = "stopped early" if lies else "jammed", guide.failed

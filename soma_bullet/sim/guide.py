@@ -13,6 +13,9 @@ import numpy as np
 
 from soma_bullet.frames import Array, tangents
 
+PROGRESS = 0.1e-3  # [m] deeper than before: what gets so far yields to the force and is led around no more
+PATIENCE = 0.05  # [s] of resistance before a search begins
+
 
 @dataclass(frozen=True)
 class Compliance:
@@ -27,10 +30,10 @@ class Compliance:
         limit: force at which the insertion is given up [N].
     """
 
-    press: float = 2.5
-    search: float = 1.0
-    give: float = 4e-3
-    dead: float = 0.1
+    press: float = 1.5
+    search: float = 0.5
+    give: float = 10e-3
+    dead: float = 0.06
     speed: float = 6e-3
     pitch: float = 0.25e-3
     reach: float = 1.6e-3
@@ -51,6 +54,7 @@ class Guide:
         self.offset = np.zeros(3)
         self._centre = np.zeros(3)
         self._turned = 0.0  # [rad] along the spiral
+        self._left, self._waited = np.inf, 0.0
         self.failed = ""
 
     @property
@@ -58,23 +62,35 @@ class Guide:
         """Whether the hand is on its spiral."""
         return self._turned > 0.0
 
-    def update(self, force: Array, dt: float) -> float:
-        """Take the force on the hand (3,) [N] in the world after `dt` [s]; returns the speed as a fraction of the planned."""
+    def update(self, force: Array, dt: float, left: float = np.inf, arrived: bool = False) -> float:
+        """Take the force on the hand (3,) [N] in the world after `dt` [s]; returns the speed as a fraction of the planned.
+
+        Args:
+            left: of the way [m]: what gets deeper has found the opening, and yields sideways instead of searching on.
+            arrived: it may rest on what it meets here, and does not search.
+        """
         c = self.compliance
         resistance = -float(force @ self.direction)
         aside = force + resistance * self.direction
         if float(np.linalg.norm(force)) > c.limit:
             self.failed = "force"
-        if resistance > c.search or (self.searching and resistance > c.search / 2):
+        self._waited = self._waited + dt if resistance > c.search else 0.0
+        if left < self._left - PROGRESS:
+            self._left, self._waited = left, 0.0
+            self._stop()
+        if not arrived and (self._waited > PATIENCE or (self.searching and resistance > c.search / 2)):
             self._search(dt)
         else:
-            if self.searching:
-                self._turned, self._centre = 0.0, self.offset
+            self._stop()
             size = float(np.linalg.norm(aside))
             if size > c.dead:
                 self.offset = self._bounded(self.offset + aside * (1.0 - c.dead / size) * c.give * dt)
                 self._centre = self.offset
         return float(np.clip(1.0 - resistance / c.press, -1.0, 1.0))
+
+    def _stop(self) -> None:
+        if self.searching:
+            self._turned, self._centre = 0.0, self.offset
 
     def _search(self, dt: float) -> None:
         c = self.compliance

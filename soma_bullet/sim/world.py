@@ -31,7 +31,8 @@ class World(Stage):
     ):
         super().__init__(cell, assembly, stand, poses, home, physics)
         self.steps = 0
-        self._squeezing = [False] * len(cell.arms)
+        self._squeezing = [0.0] * len(cell.arms)  # [N]
+        self._still = [False] * len(cell.arms)  # whether its fingers stand still for one step
         for arm, q in enumerate(home):
             self.command_arm(arm, q)
             self.open_hand(arm, 0.0)
@@ -65,12 +66,12 @@ class World(Stage):
             p.setJointMotorControl2(
                 self.robots[arm], joint, p.VELOCITY_CONTROL, targetVelocity=-speed, force=force, physicsClientId=self.client
             )
-        self._squeezing[arm] = True
+        self._squeezing[arm], self._still[arm] = force, False
 
     def open_hand(self, arm: int, opening: float, speed: float = OPENING_SPEED) -> None:
         """Move the pads to a distance of `opening` [m], each at up to `speed` [m/s]."""
         limit = self.cell.arms[arm].hand.force_range[1]
-        self._squeezing[arm] = False
+        self._squeezing[arm], self._still[arm] = 0.0, False
         for joint in self.finger_joints[arm]:
             p.setJointMotorControl2(
                 self.robots[arm], joint, p.POSITION_CONTROL, targetPosition=opening / 2, maxVelocity=speed, force=limit,
@@ -82,15 +83,26 @@ class World(Stage):
 
         Bullet keeps an anchored contact as it is, its normal in world axes included. Once the hand has turned the normal is
         stale, up to pointing backwards, and drags the piece along when the hand opens. Renewing the links' place in the broad
-        phase drops it; nothing else changes.
+        phase drops it. In the step without it nothing would resist the grip, and the fingers would jump: they stand still.
         """
         body, link = self.finger_links[arm][finger]
         p.setCollisionFilterGroupMask(body, link, 1, -1, physicsClientId=self.client)
+        if not self._squeezing[arm]:
+            return
+        limit = self.cell.arms[arm].hand.force_range[1]
+        for joint in self.finger_joints[arm]:
+            p.setJointMotorControl2(
+                self.robots[arm], joint, p.VELOCITY_CONTROL, targetVelocity=0.0, force=limit, physicsClientId=self.client
+            )
+        self._still[arm] = True
 
     def step(self) -> None:
         """One time step with the current commands."""
         p.stepSimulation(physicsClientId=self.client)
         self.steps += 1
+        for arm, still in enumerate(self._still):
+            if still:
+                self.squeeze(arm, self._squeezing[arm])
 
     # --- what a real cell would know -----------------------------------------------------------------------------------------
 

@@ -76,3 +76,38 @@ def test_too_much_force_ends_it() -> None:
     guide = Guide(DOWN, Compliance(limit=14.0))
     guide.update(np.array((14.5, 0.0, 0.0)), DT)
     assert guide.failed == "force"
+
+
+def test_what_gets_deeper_is_led_around_no_more() -> None:
+    guide = Guide(DOWN, Compliance())
+    for _ in range(200):
+        guide.update(blocked(1.0), DT, 5e-3)
+    assert guide.searching
+    at = guide.offset
+    guide.update(blocked(1.0), DT, 4.8e-3)
+    assert not guide.searching
+    np.testing.assert_array_equal(guide.offset, at)
+
+
+def test_what_has_arrived_does_not_search() -> None:
+    guide = Guide(DOWN, Compliance())
+    for _ in range(200):
+        guide.update(blocked(1.0), DT, 2e-4, arrived=True)
+    assert not guide.searching and not guide.offset.any()
+
+
+def test_the_hand_stays_within_reach_and_never_jumps() -> None:
+    rules = Compliance()
+    guide = Guide(DOWN, rules)
+    for _ in range(4000):  # pushed as far aside as it goes, then blocked
+        guide.update(np.array((0.8, 0.0, 0.0)), DT)
+    places = [guide.offset]
+    while not guide.failed:
+        guide.update(blocked(1.0), DT)
+        places.append(guide.offset)
+    while not guide.recentre(DT):
+        places.append(guide.offset)
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    assert np.linalg.norm(places, axis=1).max() < rules.reach + 1e-9
+    assert steps.max() < 1.5 * rules.speed * DT
+    np.testing.assert_allclose(guide.offset, places[0], atol=1e-9)
