@@ -80,7 +80,7 @@ class InsertionForce:
     Attributes:
         peak_n: largest change of the wrist's force [N].
         outcome, remaining_mm: how it ended, and the travel that was left [mm]; see SegmentRecord.
-        went_in: whether the piece was within the tolerance of its goal at the end, still in the hand.
+        went_in: whether it was not jammed, and the piece within the tolerance of its goal at the end, still in the hand.
         along_mm, across_mm: displacement of its centre of mass from the goal then: along the insertion, negative where it fell
             short, and across it.
         error_deg: its rotation then.
@@ -189,7 +189,8 @@ def _insertion(log: ExecutionLog, assembly: Assembly, record: SegmentRecord, tol
     along = float(shift @ direction)
     across = float(np.linalg.norm(shift - along * direction))
     turn = float(np.rad2deg(rotation_angle(end[:3, :3], goal[:3, :3])))
-    went_in = float(np.linalg.norm(shift)) <= tolerance.mm and turn <= tolerance.deg
+    there = float(np.linalg.norm(shift)) <= tolerance.mm and turn <= tolerance.deg
+    went_in = there and record.outcome not in ("jammed", "lost")
     placed = {s.piece for s in log.segments if s.kind == "place" and s.end <= record.start} - {record.piece}
     moved = max((_travel(log, assembly, name, samples) for name in placed), default=0.0)
     return InsertionForce(*facts, went_in, along, across, turn, moved)

@@ -242,6 +242,22 @@ def test_insertions_are_reported(good: ExecutionLog, assembly: Assembly, cell: C
     assert found[1].remaining_mm == pytest.approx(0.3)
 
 
+def test_how_an_insertion_ended_is_measured_on_the_piece(good: ExecutionLog, assembly: Assembly, cell: Cell) -> None:
+    """BigL comes down along -z and stops 1 mm short and 0.5 mm aside; Z, in place before, is pushed by 0.3 mm and back."""
+    (place,) = (s for s in good.segments if (s.kind, s.piece) == ("place", "BigL"))
+    segments = tuple(replace(s, offset=np.array((0.0, 0.0, -0.01))) if s is place else s for s in good.segments)
+    log = moved(replace(good, segments=segments), "BigL", make_transform(translation=(5e-4, 0.0, 1e-3)), place.end, place.end)
+    log = moved(log, "Z", make_transform(translation=(0.0, 3e-4, 0.0)), place.start + 0.5, place.start + 0.5)
+    z, big = verdict(log, assembly, cell).insertions
+    assert (big.along_mm, big.across_mm) == pytest.approx((-1.0, 0.5))
+    assert big.neighbours_mm == pytest.approx(0.3) and z.neighbours_mm == 0.0
+    assert big.went_in and z.went_in
+    jammed = tuple(replace(s, outcome="jammed") if (s.kind, s.piece) == ("place", "BigL") else s for s in log.segments)
+    assert [i.went_in for i in verdict(replace(log, segments=jammed), assembly, cell).insertions] == [True, False]
+    far = moved(log, "BigL", make_transform(translation=(0.0, 0.0, 2e-3)), place.end, place.end)
+    assert [i.went_in for i in verdict(far, assembly, cell).insertions] == [True, False]
+
+
 # --- limits and the end ------------------------------------------------------------------------------------------------
 
 

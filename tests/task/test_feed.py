@@ -187,6 +187,25 @@ def test_noise_has_the_sigma_that_was_asked_for(soma3: Assembly, feed: Feed) -> 
     assert abs(np.corrcoef(np.column_stack([shifts[:, :2], yaws]).T)[np.triu_indices(3, 1)]).max() < 0.12
 
 
+def test_uniform_errors_fill_the_disc_and_end_at_its_rim(soma3: Assembly, feed: Feed) -> None:
+    options = FeedOptions(noise_mm=1.0, noise_deg=2.0, errors="uniform")
+    real = [misplace(soma3, feed, options, seed) for seed in range(400)]
+    centres = lambda f: np.array([apply(T, p.center_of_mass) for T, p in zip(f.poses, soma3.pieces, strict=True)])  # noqa: E731
+    radii = np.linalg.norm([centres(r) - centres(feed) for r in real], axis=2).ravel()
+    yaws = np.rad2deg([[yaw_of(a, b) for a, b in zip(r.poses, feed.poses, strict=True)] for r in real]).ravel()
+    assert 0.97e-3 < radii.max() <= 1e-3 and 1.95 < np.abs(yaws).max() <= 2.0
+    np.testing.assert_allclose(np.mean(radii < 0.5e-3), 0.25, atol=0.05)  # a quarter of the area
+    assert yaws.std() == pytest.approx(2.0 / np.sqrt(3.0), rel=0.05)
+
+
+def test_a_hand_makes_room_for_the_largest_uniform_error(soma3: Assembly, plan: AssemblyPlan, cell: Cell) -> None:
+    options = FeedOptions(noise_mm=1.0, noise_deg=2.0, errors="uniform")
+    uniform = draw_feed(soma3, plan, cell, 0, options)
+    for piece in soma3.pieces:
+        assert uniform.off(piece) == pytest.approx(1e-3 + np.deg2rad(2.0) * piece.radius)
+    assert uniform.poses.tobytes() == draw_feed(soma3, plan, cell, 0).poses.tobytes()
+
+
 def test_noise_follows_the_seed_and_none_is_none(soma3: Assembly, feed: Feed) -> None:
     options = FeedOptions(noise_mm=1.0)
     assert misplace(soma3, feed, FeedOptions(), 5) is feed
