@@ -21,9 +21,10 @@ TARE = 0.1  # [s] at rest before a guarded segment
 TOUCH_FORCE, EASED_FORCE = 5.0, 0.5  # [N] of the first touch, and of the grip before the pads leave
 RAMP = 0.15  # [s] between those and the full grip force
 EASED_SPEED, EASED_TIME = 0.01, 0.05  # [m/s], [s] of the first opening
-STALE = np.deg2rad(15.0)  # [rad] by which a hand may turn before the contacts of its pads are renewed
+STALE = np.deg2rad(7.0)  # [rad] by which a hand may turn before the contacts of its pads are renewed
 FILTER = 4  # samples of the force that are averaged
 JAM = 1e-3  # [m] a guarded motion that stops farther from its end is jammed
+LEANING = 0.3  # [s] of resistance so near to its end after which a guided motion has arrived as well
 SEATED = 0.35e-3  # [m] a guided motion that meets resistance nearer to its end has arrived; on the table JAM will do
 EMPTY = 2e-3  # [m] pads nearer to each other than a piece's width less this hold nothing
 WATCH = 5  # samples between looks at the width of a hand that carries
@@ -43,7 +44,7 @@ class Observation:
         outcome: see SegmentRecord.
         qs: measured joints (arms, 6) [rad].
         openings: measured distances between the pads (arms,) [m].
-        force: wrist's force against its start at the end (3,) [N].
+        force: on the hand at the end, against its start (3,) [N], in the world.
         remaining: travel that was left [m].
         reason: of a jam: `force`, `not found`, or empty.
     """
@@ -222,7 +223,7 @@ class Executor:
         for k, q in enumerate(segment.path[1:], 1):
             self.world.command_arm(arm, q)
             yield
-            recent = [*recent[1 - FILTER :], self.world.wrench(arm)[:3]]
+            recent = [*recent[1 - FILTER :], self.world.pull(arm)]
             change = np.mean(recent, axis=0) - tare
             force = float(np.linalg.norm(change))
             motion.peak = max(motion.peak, force)
@@ -279,27 +280,23 @@ class Executor:
         while at < last:
             speed = 1.0
             if len(recent) == FILTER:
-                sensed = np.mean(recent, axis=0) - tare
-                force = float(np.linalg.norm(sensed))
+                motion.force = np.mean(recent, axis=0) - tare
+                force = float(np.linalg.norm(motion.force))
                 motion.peak = max(motion.peak, force)
-                motion.force = -world.wrist_axes(arm) @ sensed  # the sensor reports the reaction
                 motion.remaining = left(at)
                 if motion.remaining <= seated and force > segment.guard and float(motion.force @ guide.direction) < 0.0:
                     motion.outcome = "stopped early" if motion.remaining > 0.0 else "as planned"
                     return at
-                speed = guide.update(motion.force, DT, motion.remaining, motion.remaining <= seated)
-                if guide.failed:
-                    lies = guide.failed == "not found" and motion.remaining <= JAM  # it goes no deeper anywhere
-                    motion.outcome, motion.reason = "stopped early" if lies else "jammed", guide.failed
-                    while lies and not guide.recentre(DT):
-                        world.command_arm(arm, place(at, guide))
-                        yield
+                near = motion.remaining <= JAM  # it lies on something, or rubs: searching here would only push that aside
+                speed = guide.update(motion.force, DT, motion.remaining, near)
+                if guide.failed or (near and guide.waited > LEANING):
+                    motion.outcome, motion.reason = "jammed" if guide.failed else "stopped early", guide.failed
                     return at
             pace = min(speed, pace + DT / SLOW)
             at = float(np.clip(at + pace, 0.0, last))
             world.command_arm(arm, place(at, guide))
             yield
-            recent = [*recent[1 - FILTER :], world.wrench(arm)[:3]]
+            recent = [*recent[1 - FILTER :], world.pull(arm)]
         motion.remaining = 0.0
         return at
 
@@ -307,7 +304,7 @@ class Executor:
         forces = []
         for _ in range(round(TARE / DT)):
             yield
-            forces.append(self.world.wrench(arm)[:3])
+            forces.append(self.world.pull(arm))
         return np.mean(forces, axis=0)
 
     def _rest(self, duration: float) -> Steps:

@@ -45,6 +45,7 @@ class Guide:
 
     Attributes:
         offset: of the hand from its path (3,) [m].
+        waited: how long it has met resistance without getting deeper [s].
         failed: why it gives up; empty while it does not.
     """
 
@@ -54,7 +55,8 @@ class Guide:
         self.offset = np.zeros(3)
         self._centre = np.zeros(3)
         self._turned = 0.0  # [rad] along the spiral
-        self._left, self._waited = np.inf, 0.0
+        self._left = np.inf
+        self.waited = 0.0
         self.failed = ""
 
     @property
@@ -62,23 +64,23 @@ class Guide:
         """Whether the hand is on its spiral."""
         return self._turned > 0.0
 
-    def update(self, force: Array, dt: float, left: float = np.inf, arrived: bool = False) -> float:
+    def update(self, force: Array, dt: float, left: float = np.inf, near: bool = False) -> float:
         """Take the force on the hand (3,) [N] in the world after `dt` [s]; returns the speed as a fraction of the planned.
 
         Args:
             left: of the way [m]: what gets deeper has found the opening, and yields sideways instead of searching on.
-            arrived: it may rest on what it meets here, and does not search.
+            near: it may rest on what it meets so near to its end, and does not search.
         """
         c = self.compliance
         resistance = -float(force @ self.direction)
         aside = force + resistance * self.direction
         if float(np.linalg.norm(force)) > c.limit:
             self.failed = "force"
-        self._waited = self._waited + dt if resistance > c.search else 0.0
+        self.waited = self.waited + dt if resistance > c.search else 0.0
         if left < self._left - PROGRESS:
-            self._left, self._waited = left, 0.0
+            self._left, self.waited = left, 0.0
             self._stop()
-        if not arrived and (self._waited > PATIENCE or (self.searching and resistance > c.search / 2)):
+        if not near and (self.waited > PATIENCE or (self.searching and resistance > c.search / 2)):
             self._search(dt)
         else:
             self._stop()
@@ -104,13 +106,6 @@ class Guide:
         first, second = self._across
         aside = radius * (np.cos(self._turned) * first + np.sin(self._turned) * second)
         self.offset = self._bounded(self._centre + aside)
-
-    def recentre(self, dt: float) -> bool:
-        """Go back to where the search began, for `dt` [s]; returns whether it is there."""
-        way = self._centre - self.offset
-        length, step = float(np.linalg.norm(way)), self.compliance.speed * dt
-        self.offset = self._centre if length <= step else self.offset + way * (step / length)
-        return length <= step
 
     def _bounded(self, offset: Array) -> Array:
         length = float(np.linalg.norm(offset))

@@ -62,6 +62,9 @@ FRICTION_ERP = 0.8  # of what an anchored contact has slid, how much is undone i
 GEAR_ERP = 0.2
 GEAR_FORCE = 1e4  # [N]
 TABLE_FRICTION = 0.5
+TORSION = (
+    2e-3  # [m] lever at which a pad resists turning about its normal: the solver may let one corner carry all of its force
+)
 
 
 class Stage:
@@ -149,7 +152,7 @@ class Stage:
         scale = np.sqrt(self.physics.friction)
         for arm, links in zip(self.cell.arms, self.finger_links, strict=True):
             for body, link in links:
-                self._rub(body, link, np.sqrt(arm.hand.pad_friction) * scale, anchor=True)
+                self._rub(body, link, np.sqrt(arm.hand.pad_friction) * scale, anchor=True, torsion=TORSION)
 
     def _below(self, body: int, link: int) -> list[int]:
         """A link and all that it carries."""
@@ -183,10 +186,14 @@ class Stage:
             )
             self._rub(self.fixtures[name], -1, np.sqrt(friction * self.physics.friction))
 
-    def _rub(self, body: int, link: int, coefficient: float, anchor: bool = False) -> None:
-        """Set friction. Bullet multiplies two bodies' coefficients: with the root of each they meet in the mean."""
+    def _rub(self, body: int, link: int, coefficient: float, anchor: bool = False, torsion: float = 0.0) -> None:
+        """Set friction. Bullet multiplies two bodies' coefficients: with the root of each they meet in the mean.
+
+        Args:
+            torsion: lever of the friction against turning about a contact's normal [m] (soft finger).
+        """
         p.changeDynamics(
-            body, link, lateralFriction=float(coefficient), spinningFriction=0.0, rollingFriction=0.0,
+            body, link, lateralFriction=float(coefficient), spinningFriction=float(torsion * coefficient), rollingFriction=0.0,
             frictionAnchor=int(anchor), physicsClientId=self.client,
         )  # fmt: skip
 

@@ -15,6 +15,7 @@ from soma_bullet.sim.stage import Physics, Stage
 
 CLOSING_SPEED, OPENING_SPEED = 0.05, 0.1  # [m/s]
 SETTLED = 8  # iterations of the solver in which a finger's motor reaches its limit
+FORMING = 2  # steps in which the contacts of a pad form anew; in the first there are none, then the motor takes all iterations
 
 
 class World(Stage):
@@ -32,7 +33,7 @@ class World(Stage):
         super().__init__(cell, assembly, stand, poses, home, physics)
         self.steps = 0
         self._squeezing = [0.0] * len(cell.arms)  # [N]
-        self._still = [False] * len(cell.arms)  # whether its fingers stand still for one step
+        self._forming = [0] * len(cell.arms)  # steps until the contacts of a hand's pads have formed anew
         for arm, q in enumerate(home):
             self.command_arm(arm, q)
             self.open_hand(arm, 0.0)
@@ -61,17 +62,17 @@ class World(Stage):
         gone for one step, in which the finger gets up to that speed.
         """
         for joint, mass in zip(self.finger_joints[arm], self.finger_masses[arm], strict=True):
-            firm = force * self.physics.dt / mass / SETTLED
-            speed = max(CLOSING_SPEED, firm) if self._squeezing[arm] else CLOSING_SPEED
+            firm = force * self.physics.dt / mass / (self.physics.iterations if self._forming[arm] else SETTLED)
+            speed = firm if self._forming[arm] else max(CLOSING_SPEED, firm) if self._squeezing[arm] else CLOSING_SPEED
             p.setJointMotorControl2(
                 self.robots[arm], joint, p.VELOCITY_CONTROL, targetVelocity=-speed, force=force, physicsClientId=self.client
             )
-        self._squeezing[arm], self._still[arm] = force, False
+        self._squeezing[arm] = force
 
     def open_hand(self, arm: int, opening: float, speed: float = OPENING_SPEED) -> None:
         """Move the pads to a distance of `opening` [m], each at up to `speed` [m/s]."""
         limit = self.cell.arms[arm].hand.force_range[1]
-        self._squeezing[arm], self._still[arm] = 0.0, False
+        self._squeezing[arm], self._forming[arm] = 0.0, 0
         for joint in self.finger_joints[arm]:
             p.setJointMotorControl2(
                 self.robots[arm], joint, p.POSITION_CONTROL, targetPosition=opening / 2, maxVelocity=speed, force=limit,
@@ -94,14 +95,15 @@ class World(Stage):
             p.setJointMotorControl2(
                 self.robots[arm], joint, p.VELOCITY_CONTROL, targetVelocity=0.0, force=limit, physicsClientId=self.client
             )
-        self._still[arm] = True
+        self._forming[arm] = FORMING
 
     def step(self) -> None:
         """One time step with the current commands."""
         p.stepSimulation(physicsClientId=self.client)
         self.steps += 1
-        for arm, still in enumerate(self._still):
-            if still:
+        for arm, steps in enumerate(self._forming):
+            if steps:
+                self._forming[arm] = steps - 1
                 self.squeeze(arm, self._squeezing[arm])
 
     # --- what a real cell would know -----------------------------------------------------------------------------------------
@@ -144,6 +146,13 @@ class World(Stage):
         lever = np.array(places) - mount
         torques = lever[:, (1, 2, 0)] * on[:, (2, 0, 1)] - lever[:, (2, 0, 1)] * on[:, (1, 2, 0)]
         return -(np.array((on.sum(0), torques.sum(0))) @ _rotation(states[0][5])).ravel()
+
+    def pull(self, arm: int) -> Array:
+        """Force on the hand (3,) [N] as the wrist feels it, weight included, in the axes of the world.
+
+        There weight stays the same when the hand turns.
+        """
+        return -self.wrist_axes(arm) @ self.wrench(arm)[:3]
 
     def wrist_axes(self, arm: int) -> Array:
         """Axes (3, 3) of a hand's mount frame in the world."""
