@@ -34,6 +34,8 @@ AGAIN = 3  # times that a jammed insertion is tried again
 RECOVERIES = 6  # in one episode
 OFF_MM, OFF_DEG = 5.0, 10.0  # [mm], [deg] a piece that is seen farther from its goal has been lost
 CERTAIN_MM, CERTAIN_DEG = 0.1, 0.2  # [mm], [deg] smaller differences are not worth a correction
+WRIST = 3  # last joints of an arm: the others carry its links aside
+LARGEST_CHANGE = 0.01, 0.1  # [rad] of the joints before the wrist, and of the wrist: a correction that takes more is not made
 BEND = 0.3  # of a placing, over which its path is bent to where the piece is seen in the hand
 Progress = Callable[[str, float], None]
 Detour = Generator[Segment, Observation, Observation]
@@ -94,7 +96,8 @@ class Executive:
     ):
         self.workcell, self.plan, self.program, self.executor = workcell, plan, program, executor
         self.feed, self.ablate, self.together, self.progress = feed, ablate, options.together, progress
-        self.recover, self.longest = options.recover and not ablate, options.longest
+        self.correct, self.longest = options.recover, options.longest
+        self.recover = options.recover and not ablate
         self.placed: list[str] = []
         self.gripped: dict[int, str] = {}  # arm -> piece between its fingers
         self.looks = 0
@@ -183,11 +186,11 @@ class Executive:
 
         Before a piece is placed a look at it in the hand tells whether it sits there as planned.
         """
-        if segment.kind != "place" or not self.recover:
+        if segment.kind != "place" or not self.correct:
             return (yield segment)
         segment = self._corrected(segment, 3.0) or segment
         seen = yield segment
-        for _ in range(AGAIN):
+        for _ in range(AGAIN if self.recover else 0):
             if seen.outcome != "jammed":
                 break
             self._event("jammed", segment.piece, f"{seen.reason or 'contact'}, {seen.remaining * 1e3:.1f} mm left")
@@ -227,8 +230,11 @@ class Executive:
         shift, turn = seen
         if np.linalg.norm(shift) > OFF_MM * 1e-3 or np.linalg.norm(turn) > np.deg2rad(OFF_DEG):
             return None
+        change = segment.compliance @ np.concatenate([shift, turn])
+        if np.abs(change[:-WRIST]).max() > LARGEST_CHANGE[0] or np.abs(change[-WRIST:]).max() > LARGEST_CHANGE[1]:
+            return segment
         ramp = np.clip(np.linspace(0.0, 1.0 / BEND, len(segment.path)), 0.0, 1.0)[:, None]
-        path = segment.path + ramp * (segment.compliance @ np.concatenate([shift, turn]))
+        path = segment.path + ramp * change
         return replace(segment, path=readonly(joined(path, self.executor.world.measured_joints()[segment.arm])))
 
     def _misplaced(self, segment: Segment) -> tuple[Array, Array]:

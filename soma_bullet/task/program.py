@@ -46,6 +46,7 @@ from soma_bullet.task.segments import (
 from soma_bullet.task.tracing import APPROACH, LIFT
 from soma_bullet.task.workcell import Workcell
 
+DAMPING = 0.01  # of the inverse Jacobian: near a singularity a hand gives way less, and no joint moves far
 Who = tuple[int, str]  # an arm, and the piece that it is about
 Made = tuple[Context, Segment, Context]  # a segment with the contexts before and after it
 NONE = readonly(np.zeros(3))
@@ -347,7 +348,8 @@ def _guarded(workcell: Workcell, segment: Segment, context: Context) -> Segment:
     """A line with its guard and its compliance, where it has them."""
     if segment.kind not in GUARDED:
         return segment
-    compliance = np.linalg.pinv(workcell.robot.jacobian(segment.arm, segment.path[-1]))
+    jacobian = workcell.robot.jacobian(segment.arm, segment.path[-1])
+    compliance = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + DAMPING**2 * np.eye(6))
     stopped = segment.kind == "set_down" or workcell.stopped(segment.piece, segment.last_way, context.placed)
     return replace(segment, guard=GUARD, compliance=readonly(compliance), beyond=BEYOND if stopped else 0.0)
 
