@@ -30,6 +30,7 @@ EMPTY = 2e-3  # [m] pads nearer to each other than a piece's width less this hol
 WATCH = 5  # samples between looks at the width of a hand that carries
 FALL, LOWERING = 1e-3, 8e-3  # [m], [m/s] of the last way straight down
 NARROW = 0.5e-3  # [m] largest radius of a search on that way
+RESTING, EASING = 0.15, 2e-3  # [N] with which a piece rests that the hand does not press on, [m/s] of going back to it
 SLOW = 0.25  # [s] over which a guided motion takes up its speed again
 FINAL_SETTLE = 2.0  # [s] after both hands have let go
 
@@ -190,7 +191,10 @@ class Executor:
 
     def _follow(self, segment: Segment, motion: _Motion) -> Steps:
         if segment.guard and self.compliance is not None and len(segment.compliance):
-            yield from self._guided(segment, motion, self.compliance)
+            tare = yield from self._mean_force(segment.arm)
+            yield from self._guided(segment, motion, self.compliance, tare)
+            if motion.outcome != "jammed":
+                yield from self._ease(segment, tare)
         elif segment.guard:
             yield from self._guarded(segment, motion)
         else:
@@ -232,7 +236,7 @@ class Executor:
                 motion.outcome = "jammed" if motion.remaining > JAM else "stopped early"
                 return
 
-    def _guided(self, segment: Segment, motion: _Motion, compliance: Compliance) -> Steps:
+    def _guided(self, segment: Segment, motion: _Motion, compliance: Compliance, tare: Array) -> Steps:
         """Feed a path as far as the wrist's force allows, and aside as it asks; see Guide.
 
         A piece that comes in at a slant stays FALL above its path and comes down straight at the end: it then meets what
@@ -240,7 +244,6 @@ class Executor:
         """
         path, length = segment.path, float(np.linalg.norm(segment.offset))
         along, slanted = segment.offset / length, segment.slanted
-        tare = yield from self._mean_force(segment.arm)
 
         def place(at: float, guide: Guide) -> Array:
             whole = min(int(at), len(path) - 2)
@@ -264,6 +267,19 @@ class Executor:
             lambda at, g: end + segment.compliance[:, :3] @ (down * at * step + g.offset),
             lambda at: max(fall - at * step, 0.0),
         )  # fmt: skip
+
+    def _ease(self, segment: Segment, tare: Array) -> Steps:
+        """Go back until a piece only just rests on what stopped it: pressed on, that would creep away under it."""
+        world, arm = self.world, segment.arm
+        start, back = np.array(world.targets[arm]), 0.0
+        recent: list[Array] = []
+        while back < JAM / 2:
+            recent = [*recent[1 - FILTER :], world.pull(arm)]
+            if -float((np.mean(recent, axis=0) - tare) @ segment.last_way) < RESTING:
+                return
+            back += EASING * DT
+            world.command_arm(arm, start - segment.compliance[:, :3] @ segment.last_way * back)
+            yield
 
     def _feel(
         self, segment: Segment, motion: _Motion, guide: Guide, tare: Array, last: float,
