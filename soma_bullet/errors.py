@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 
+MOST_SHOWN = 20  # faults in a message
+
 
 class SomaBulletError(Exception):
     """Base of all errors of this package; `exit_status` is what a script returns for it."""
@@ -30,7 +32,8 @@ class InputError(SomaBulletError):
             if len(self.faults) == 1
             else [
                 f"{self.source}: {len(self.faults)} faults",
-                *(f"  - {fault}" for fault in self.faults),
+                *(f"  - {fault}" for fault in self.faults[:MOST_SHOWN]),
+                *([f"  and {len(self.faults) - MOST_SHOWN} more"] if len(self.faults) > MOST_SHOWN else []),
             ]
         )
         super().__init__("\n".join(lines))

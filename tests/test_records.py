@@ -107,3 +107,11 @@ def test_versions_name_what_numbers_depend_on() -> None:
     versions = package_versions()
     assert tuple(versions) == VERSIONED
     assert versions["numpy"] == np.__version__
+
+
+def test_a_message_lists_the_first_faults_and_counts_the_rest() -> None:
+    error = InputError("file", [f"fault {k}" for k in range(50)])
+    lines = str(error).splitlines()
+    assert lines[0] == "file: 50 faults" and lines[-1].strip() == "and 30 more" and len(lines) == 22
+    assert len(error.faults) == 50
+    assert "more" not in str(InputError("file", ["one", "two"]))

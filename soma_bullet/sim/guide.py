@@ -15,6 +15,7 @@ from soma_bullet.frames import Array, tangents
 
 PROGRESS = 0.1e-3  # [m] deeper than before: what gets so far yields to the force and is led around no more
 PATIENCE = 0.05  # [s] of resistance before a search begins
+STALLED = 30.0  # [s] without getting deeper after which it gives up: longer than a whole search takes
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,7 @@ class Guide:
         self._centre = np.zeros(3)
         self._turned = 0.0  # [rad] along the spiral
         self._left = np.inf
+        self._stalled = 0.0  # [s] since it last got deeper
         self.waited = 0.0
         self.failed = ""
 
@@ -77,9 +79,12 @@ class Guide:
         if float(np.linalg.norm(force)) > c.limit:
             self.failed = "force"
         self.waited = self.waited + dt if resistance > c.search else 0.0
+        self._stalled += dt
         if left < self._left - PROGRESS:
-            self._left, self.waited = left, 0.0
+            self._left, self.waited, self._stalled = left, 0.0, 0.0
             self._stop()
+        if self._stalled > STALLED:
+            self.failed = "not found"
         if not near and (self.waited > PATIENCE or (self.searching and resistance > c.search / 2)):
             self._search(dt)
         else:

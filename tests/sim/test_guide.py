@@ -78,6 +78,14 @@ def test_too_much_force_ends_it() -> None:
     assert guide.failed == "force"
 
 
+def test_what_is_neither_blocked_nor_gets_deeper_ends() -> None:
+    """Resistance that comes and goes starts and stops searches for ever; the hand that only waits for it does as well."""
+    for force in (lambda k: 1.0 if k // 60 % 2 else 0.0, lambda k: 0.4):
+        guide = Guide(DOWN, Compliance())
+        steps = next(k for k in range(round(60 / DT)) if guide.failed or guide.update(blocked(force(k)), DT, 5e-3) is None)
+        assert guide.failed == "not found" and 20.0 < steps * DT < 40.0
+
+
 def test_what_gets_deeper_is_led_around_no_more() -> None:
     guide = Guide(DOWN, Compliance())
     for _ in range(200):
