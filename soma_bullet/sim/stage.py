@@ -62,9 +62,7 @@ FRICTION_ERP = 0.8  # of what an anchored contact has slid, how much is undone i
 GEAR_ERP = 0.2
 GEAR_FORCE = 1e4  # [N]
 TABLE_FRICTION = 0.5
-TORSION = (
-    2e-3  # [m] lever at which a pad resists turning about its normal: the solver may let one corner carry all of its force
-)
+TORSION = 2e-3  # [m] lever at which a pad resists turning about its normal: one corner may carry all of its force
 
 
 class Stage:

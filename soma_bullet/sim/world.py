@@ -15,7 +15,7 @@ from soma_bullet.sim.stage import Physics, Stage
 
 CLOSING_SPEED, OPENING_SPEED = 0.05, 0.1  # [m/s]
 SETTLED = 8  # iterations of the solver in which a finger's motor reaches its limit
-FORMING = 2  # steps in which the contacts of a pad form anew; in the first there are none, then the motor takes all iterations
+FORMING = 2  # steps in which the contacts of a pad form anew: the fingers stand still in the first and close slowly in the next
 
 
 class World(Stage):
@@ -58,8 +58,8 @@ class World(Stage):
         """Close with a force [N] and keep squeezing; told so again, squeeze with another force.
 
         The solver adds to a motor's impulse what its speed is worth, in each iteration, until the limit is reached: a hand
-        that has closed is told the speed with which SETTLED iterations do. No more: a contact that Bullet forms anew may be
-        gone for one step, in which the finger gets up to that speed.
+        that has closed is told the speed with which SETTLED iterations do. No more: a pad with few contacts may turn the piece
+        at that speed for one step, until the others are found.
         """
         for joint, mass in zip(self.finger_joints[arm], self.finger_masses[arm], strict=True):
             firm = force * self.physics.dt / mass / (self.physics.iterations if self._forming[arm] else SETTLED)
@@ -84,7 +84,8 @@ class World(Stage):
 
         Bullet keeps an anchored contact as it is, its normal in world axes included. Once the hand has turned the normal is
         stale, up to pointing backwards, and drags the piece along when the hand opens. Renewing the links' place in the broad
-        phase drops it. In the step without it nothing would resist the grip, and the fingers would jump: they stand still.
+        phase drops it. New ones form in the same step, but only where the boxes overlap: a pad may start with a point or two,
+        around which the grip would turn the piece until the next step finds the others. So the fingers stand still in this one.
         """
         body, link = self.finger_links[arm][finger]
         p.setCollisionFilterGroupMask(body, link, 1, -1, physicsClientId=self.client)
