@@ -33,9 +33,11 @@ LARGEST_JUMP = 0.01  # [rad] a path that starts no farther from the measured joi
 AGAIN = 3  # times that a jammed insertion is tried again
 RECOVERIES = 6  # in one episode
 OFF_MM, OFF_DEG = 5.0, 10.0  # [mm], [deg] a piece that is seen farther from its goal has been lost
+GONE_MM = 15.0  # [mm] one that a hand would have to move farther for is not in the hand any more
 CERTAIN_MM, CERTAIN_DEG = 0.1, 0.2  # [mm], [deg] smaller differences are not worth a correction
-WRIST = 3  # last joints of an arm: the others carry its links aside
-LARGEST_CHANGE = 0.01, 0.1  # [rad] of the joints before the wrist, and of the wrist: a correction that takes more is not made
+LOOKS = 9  # at a piece in the hand before it is placed, if perception errs: each errs anew
+LARGEST_CHANGE = np.array((0.02, 0.02, 0.02, 0.12, 0.12, 0.12))  # [rad] of each joint by a correction; of more it is a share
+TURNED_DEG = 1.5  # [deg] that a correction may leave; a piece that has turned farther in the hand is planned with anew
 BEND = 0.3  # of a placing, over which its path is bent to where the piece is seen in the hand
 Progress = Callable[[str, float], None]
 Detour = Generator[Segment, Observation, Observation]
@@ -161,7 +163,12 @@ class Executive:
                     k = queue.pop(0)
                     self.progress(f"{arms[arm].name}: {ready.kind} {ready.piece}", len(done) / len(program.segments))
                     detour = self._detour(ready)
-                    self.executor.begin(next(detour))
+                    try:
+                        following = next(detour)
+                    except StopIteration as stop:  # it does not even begin
+                        trouble = self._after(program, k, ready, stop.value)
+                        continue
+                    self.executor.begin(following)
                     running[arm] = (k, detour)
             if not running:
                 return trouble
@@ -177,7 +184,7 @@ class Executive:
         jump = float(np.abs(qs[segment.arm] - segment.path[0]).max())
         if jump <= SMALLEST_JUMP:
             return segment
-        if jump <= LARGEST_JUMP:
+        if jump <= LARGEST_JUMP or segment.kind == "retreat":  # perhaps from a placing that was corrected by more
             return replace(segment, path=readonly(joined(segment.path, qs[segment.arm])))
         return None if self.executor.busy else replan(self.workcell, program, k, qs)
 
@@ -188,7 +195,13 @@ class Executive:
         """
         if segment.kind != "place" or not self.correct:
             return (yield segment)
-        segment = self._corrected(segment, 3.0) or segment
+        corrected = self._corrected(segment, 3.0)
+        if isinstance(corrected, Segment):
+            segment = corrected
+        elif self.recover:
+            world = self.executor.world
+            left = float(np.linalg.norm(segment.offset))
+            return Observation(corrected, world.measured_joints(), world.openings(), NONE, left)
         seen = yield segment
         for _ in range(AGAIN if self.recover else 0):
             if seen.outcome != "jammed":
@@ -198,8 +211,8 @@ class Executive:
             back = joined(self._reached(segment, seen)[::-1], q)
             yield replace(segment, kind="back_off", path=readonly(back), offset=-segment.offset, guard=0.0)
             bent = self._corrected(segment)
-            if bent is None:
-                return replace(seen, outcome="lost")
+            if not isinstance(bent, Segment):
+                return replace(seen, outcome=bent)
             seen = yield bent
         return seen
 
@@ -209,32 +222,27 @@ class Executive:
         last = round((len(segment.path) - 1) * (1.0 - seen.remaining / max(length, 1e-12)))
         return segment.path[: max(last, 1) + 1]
 
-    def _corrected(self, segment: Segment, sigmas: float = 0.0) -> Segment | None:
-        """A placing bent to where the piece is seen in the hand; None where it is not in it any more.
+    def _corrected(self, segment: Segment, sigmas: float = 0.0) -> Segment | str:
+        """A placing bent to where the piece is seen in the hand; `turned` where the path cannot be bent so far, and
+        it is better to plan anew; `lost` where the piece is not in the hand any more.
 
-        What is seen counts from `sigmas` of the perception's error on, and only if a second look says so too.
+        What is seen, the mean of some looks if they err, counts from `sigmas` of its error on.
         """
-        seen = self._misplaced(segment)
-        certain_mm, certain_deg = CERTAIN_MM + sigmas * self.feed.noise[0], CERTAIN_DEG + sigmas * self.feed.noise[1]
-
-        def certain(shift: Array, turn: Array) -> bool:
-            return bool(np.linalg.norm(shift) > certain_mm * 1e-3 or np.linalg.norm(turn) > np.deg2rad(certain_deg))
-
-        if sigmas and not certain(*seen):
-            return segment
-        if sigmas and any(self.feed.noise):  # one look in some hundreds is off by as much: two are not
-            again = self._misplaced(segment)
-            if not certain(*again):
+        looks = LOOKS if any(self.feed.noise) else 1
+        shift, turn = np.mean([self._misplaced(segment) for _ in range(looks)], axis=0)
+        doubt_mm, doubt_deg = sigmas * np.array(self.feed.noise) / np.sqrt(looks)
+        if sigmas and np.linalg.norm(shift) < (CERTAIN_MM + doubt_mm) * 1e-3:
+            if np.linalg.norm(turn) < np.deg2rad(CERTAIN_DEG + doubt_deg):
                 return segment
-            seen = (seen[0] + again[0]) / 2, (seen[1] + again[1]) / 2
-        shift, turn = seen
-        if np.linalg.norm(shift) > OFF_MM * 1e-3 or np.linalg.norm(turn) > np.deg2rad(OFF_DEG):
-            return None
+        if np.linalg.norm(shift) > GONE_MM * 1e-3:
+            return "lost"
         change = segment.compliance @ np.concatenate([shift, turn])
-        if np.abs(change[:-WRIST]).max() > LARGEST_CHANGE[0] or np.abs(change[-WRIST:]).max() > LARGEST_CHANGE[1]:
-            return segment
+        share = 1.0 / max(1.0, *(np.abs(change) / LARGEST_CHANGE))
+        alone = sum(piece not in self.placed for piece in self.gripped.values()) == 1  # recoveries know of one carried piece
+        if alone and (1.0 - share) * np.linalg.norm(turn) > np.deg2rad(TURNED_DEG):
+            return "turned"
         ramp = np.clip(np.linspace(0.0, 1.0 / BEND, len(segment.path)), 0.0, 1.0)[:, None]
-        path = segment.path + ramp * change
+        path = segment.path + ramp * share * change
         return replace(segment, path=readonly(joined(path, self.executor.world.measured_joints()[segment.arm])))
 
     def _misplaced(self, segment: Segment) -> tuple[Array, Array]:
@@ -248,6 +256,8 @@ class Executive:
 
     def _after(self, program: Program, k: int, segment: Segment, seen: Observation) -> _Trouble | None:
         """Keep account of what is where; what went wrong, if anything."""
+        if seen.outcome == "turned":
+            return _Trouble(k, segment, seen, "turned in the hand")
         if seen.outcome in ("jammed", "lost") and not self.ablate:
             return _Trouble(k, segment, seen, f"{seen.outcome} in {segment.kind}")
         if segment.kind == "grasp":

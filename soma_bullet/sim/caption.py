@@ -101,6 +101,7 @@ def says(phase: Phase) -> str:
         "put down": f"{arm} puts {piece} down the other way",
         "bring": f"{arm} brings {piece}",
         "release": f"{arm} lets go of {piece}",
+        "follow": f"{arm} lets {piece} down",
         "ablation": f"ablation: {arm} lets go of {piece}",
         "home": f"{arm} goes home",
         "final": "settling",

@@ -21,7 +21,7 @@ TARE = 0.1  # [s] at rest before a guarded segment
 TOUCH_FORCE, EASED_FORCE = 5.0, 0.5  # [N] of the first touch, and of the grip before the pads leave
 RAMP = 0.15  # [s] between those and the full grip force
 EASED_SPEED, EASED_TIME = 0.01, 0.05  # [m/s], [s] of the first opening
-STALE = np.deg2rad(7.0)  # [rad] by which a hand may turn before the contacts of its pads are renewed
+STALE = np.deg2rad(15.0)  # [rad] by which a hand may turn before the contacts of its pads are renewed
 FILTER = 4  # samples of the force that are averaged
 JAM = 1e-3  # [m] a guarded motion that stops farther from its end is jammed
 LEANING = 0.3  # [s] of resistance so near to its end after which a guided motion has arrived as well
@@ -135,8 +135,8 @@ class Executor:
         elif not np.isnan(segment.opening):
             world.open_hand(arm, segment.opening)
         motion = _Motion()
-        if len(segment.path):
-            yield from self._follow(segment, motion)
+        if len(segment.path) or (segment.guard and self.compliance is not None):
+            yield from self._travel(segment, motion)
         else:
             yield from self._rest(segment.duration - (world.time - start))
         if segment.kind == "grasp":
@@ -189,10 +189,13 @@ class Executor:
 
     # --- motions -----------------------------------------------------------------------------------------------------------
 
-    def _follow(self, segment: Segment, motion: _Motion) -> Steps:
+    def _travel(self, segment: Segment, motion: _Motion) -> Steps:
         if segment.guard and self.compliance is not None and len(segment.compliance):
             tare = yield from self._mean_force(segment.arm)
-            yield from self._guided(segment, motion, self.compliance, tare)
+            if len(segment.path):
+                yield from self._guided(segment, motion, self.compliance, tare)
+            else:
+                yield from self._lowered(segment, motion, self.compliance, tare, np.array(self.world.targets[segment.arm]), 0.0)
             if motion.outcome != "jammed":
                 yield from self._ease(segment, tare)
         elif segment.guard:
@@ -259,12 +262,18 @@ class Executor:
         fall = FALL * slanted
         if motion.outcome == "jammed" or (motion.outcome == "stopped early" and not slanted) or not fall + segment.beyond:
             return
-        end, down = place(at, guide), segment.last_way
+        yield from self._lowered(segment, motion, compliance, tare, place(at, guide), fall)
+
+    def _lowered(
+        self, segment: Segment, motion: _Motion, compliance: Compliance, tare: Array, start: Array, fall: float
+    ) -> Steps:
+        """Go on the last way by `fall` [m], and beyond until something is met."""
+        down, step = segment.last_way, LOWERING * DT
         guide = Guide(down, replace(compliance, reach=min(compliance.reach, NARROW)))
-        motion.outcome, step = "as planned", LOWERING * DT
+        motion.outcome = "as planned"
         yield from self._feel(
             segment, motion, guide, tare, (fall + segment.beyond) / step,
-            lambda at, g: end + segment.compliance[:, :3] @ (down * at * step + g.offset),
+            lambda at, g: start + segment.compliance[:, :3] @ (down * at * step + g.offset),
             lambda at: max(fall - at * step, 0.0),
         )  # fmt: skip
 

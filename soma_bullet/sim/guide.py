@@ -28,6 +28,8 @@ class Compliance:
         give: sideways speed for each newton [m/s/N], of forces beyond `dead` [N].
         speed: of the search [m/s]; pitch: between two turns of its spiral [m].
         reach: how far aside of its path the hand may get [m].
+        careful: largest fraction of the planned speed until it is `entry` [m] deeper than where it last met resistance: what
+            comes in over an edge at speed pushes aside what it comes into.
         limit: force at which the insertion is given up [N].
     """
 
@@ -38,6 +40,8 @@ class Compliance:
     speed: float = 6e-3
     pitch: float = 0.25e-3
     reach: float = 1.6e-3
+    careful: float = 0.25
+    entry: float = 2e-3
     limit: float = 14.0
 
 
@@ -57,6 +61,7 @@ class Guide:
         self._centre = np.zeros(3)
         self._turned = 0.0  # [rad] along the spiral
         self._left = np.inf
+        self._met = np.inf  # [m] what was left where it last met resistance
         self._stalled = 0.0  # [s] since it last got deeper
         self.waited = 0.0
         self.failed = ""
@@ -79,6 +84,8 @@ class Guide:
         if float(np.linalg.norm(force)) > c.limit:
             self.failed = "force"
         self.waited = self.waited + dt if resistance > c.search else 0.0
+        if resistance > c.search:
+            self._met = left
         self._stalled += dt
         if left < self._left - PROGRESS:
             self._left, self.waited, self._stalled = left, 0.0, 0.0
@@ -93,7 +100,8 @@ class Guide:
             if size > c.dead:
                 self.offset = self._bounded(self.offset + aside * (1.0 - c.dead / size) * c.give * dt)
                 self._centre = self.offset
-        return float(np.clip(1.0 - resistance / c.press, -1.0, 1.0))
+        fastest = c.careful if left > self._met - c.entry else 1.0
+        return float(np.clip(1.0 - resistance / c.press, -1.0, fastest))
 
     def _stop(self) -> None:
         if self.searching:

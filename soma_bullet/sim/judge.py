@@ -247,10 +247,17 @@ def _holds(log: ExecutionLog) -> list[HoldDrift]:
         if end - record.end < 0.5:
             continue  # let go at once: not a hold
         samples = log.between(record.end, end)
-        drift = _motion([log.piece_pose(int(i), record.piece) for i in samples])
+        stays = _stays(record.end, end, [s for s in following if s.kind == "follow"])
+        drifts = [_motion([log.piece_pose(int(i), record.piece) for i in log.between(*stay)]) for stay in stays]
+        drift = max(mm for mm, _ in drifts), max(deg for _, deg in drifts)
         grip = float(log.grips[samples, log.arm_names.index(record.arm)].min()) if len(samples) else 0.0
         holds.append(HoldDrift(record.piece, record.arm, end - record.end, *drift, grip))
     return holds
+
+
+def _stays(start: float, end: float, moves: list[SegmentRecord]) -> list[tuple[float, float]]:
+    """What is left of a span of time without some moves."""
+    return list(zip([start, *(s.end for s in moves)], [*(s.start for s in moves), end], strict=True))
 
 
 def _before(log: ExecutionLog, k: int) -> str:

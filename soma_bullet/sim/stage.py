@@ -63,6 +63,7 @@ GEAR_ERP = 0.2
 GEAR_FORCE = 1e4  # [N]
 TABLE_FRICTION = 0.5
 TORSION = 2e-3  # [m] lever at which a pad resists turning about its normal: one corner may carry all of its force
+PATCH = 0.25e-3  # [m] the same of every other body, half of what a pair has: a corner stands on a patch, not on a point
 
 
 class Stage:
@@ -182,7 +183,7 @@ class Stage:
             self.fixtures[name] = p.createMultiBody(
                 0, shape, basePosition=[float(v) for v in centre], physicsClientId=self.client
             )
-            self._rub(self.fixtures[name], -1, np.sqrt(friction * self.physics.friction))
+            self._rub(self.fixtures[name], -1, np.sqrt(friction * self.physics.friction), torsion=PATCH)
 
     def _rub(self, body: int, link: int, coefficient: float, anchor: bool = False, torsion: float = 0.0) -> None:
         """Set friction. Bullet multiplies two bodies' coefficients: with the root of each they meet in the mean.
@@ -205,7 +206,7 @@ class Stage:
             T_piece_inertial = transform_of(info[3], info[4])
             position, quat_xyzw = to_quat_xyzw(poses[piece.name] @ T_piece_inertial)
             p.resetBasePositionAndOrientation(body, position, quat_xyzw, physicsClientId=self.client)
-            self._rub(body, -1, np.sqrt(piece.friction * self.physics.friction), anchor=True)
+            self._rub(body, -1, np.sqrt(piece.friction * self.physics.friction), anchor=True, torsion=PATCH)
             if self.physics.mass != 1.0:
                 inertia = [self.physics.mass * value for value in info[2]]
                 p.changeDynamics(

@@ -37,7 +37,7 @@ STRIDE = 8  # samples of a path from one to the next of those that its parts are
 AROUND = ("transit", "transfer", "home")
 ASSEMBLING = ("insert", "place")
 UNLADEN = {"transit", "home"}  # ways on which a hand is away from what it is about
-AT_PIECE = ("approach", "grasp", "settle", "release")
+AT_PIECE = ("approach", "grasp", "settle", "release", "follow")
 
 
 def overlapped(workcell: Workcell, program: Program) -> Program:

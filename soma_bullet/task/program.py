@@ -26,6 +26,7 @@ from soma_bullet.task.schedule import Scheduler
 from soma_bullet.task.segments import (
     BEYOND,
     CLOSING,
+    FOLLOWING,
     GUARD,
     GUARDED,
     OPENING_TIME,
@@ -267,6 +268,13 @@ class ProgramBuilder:
                     yield from self._take(a, (take.arm, take.piece), take.q_before, take.q_hold, take.width)
             if n < len(releases):
                 yield from self._leave(a, (releases[n].arm, releases[n].piece))
+                yield from self._follow(a, releases[n].piece)
+
+    def _follow(self, a: Assignment | None, released: str) -> Iterator[Made]:
+        """What hands hold on top of a piece that has just been let go comes down onto it."""
+        for arm, held in sorted(self.context.hands.gripped.items()):
+            if held in self.context.placed and self.workcell.carries(released, held):
+                yield self._wait(a, "follow", FOLLOWING, np.nan, (arm, held))
 
     # --- one segment ---------------------------------------------------------------------------------------------------
 
@@ -327,7 +335,8 @@ class ProgramBuilder:
     ) -> Made:
         step, arm, piece = self._about(a, who)
         context = entering(self.workcell, self.context, kind, arm, piece)
-        return self._add(context, Segment(kind, step, arm, piece, NO_PATH, NONE, opening, duration, 0.0, width))
+        segment = Segment(kind, step, arm, piece, NO_PATH, NONE, opening, duration, 0.0, width)
+        return self._add(context, _guarded(self.workcell, segment, context))
 
 
 def _arm_after(a: Assignment, n: int) -> int:
@@ -345,12 +354,13 @@ def first_arm(a: Assignment) -> int:
 
 
 def _guarded(workcell: Workcell, segment: Segment, context: Context) -> Segment:
-    """A line with its guard and its compliance, where it has them."""
+    """A segment with its guard and its compliance, where it has them."""
     if segment.kind not in GUARDED:
         return segment
-    jacobian = workcell.robot.jacobian(segment.arm, segment.path[-1])
+    end = segment.path[-1] if len(segment.path) else context.hands.qs[segment.arm]
+    jacobian = workcell.robot.jacobian(segment.arm, end)
     compliance = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + DAMPING**2 * np.eye(6))
-    stopped = segment.kind == "set_down" or workcell.stopped(segment.piece, segment.last_way, context.placed)
+    stopped = segment.kind in ("set_down", "follow") or workcell.stopped(segment.piece, segment.last_way, context.placed)
     return replace(segment, guard=GUARD, compliance=readonly(compliance), beyond=BEYOND if stopped else 0.0)
 
 

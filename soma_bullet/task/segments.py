@@ -20,7 +20,7 @@ from soma_bullet.task.workcell import TABLE, Hands, Workcell
 
 Kind = Literal[
     "transit", "approach", "grasp", "lift", "transfer", "insert", "place", "lower", "set_down", "settle", "release", "retreat",
-    "home", "back_off",
+    "home", "back_off", "follow",
 ]  # fmt: skip
 
 DT = 1 / 480  # [s] between samples of a trajectory: the simulator's step
@@ -28,6 +28,7 @@ PLACE = 0.010  # [m] at the end of an insertion that are slowest; they are guard
 GUARD = 1.0  # [N] change of the wrist's force that ends a placing
 BEYOND = 1.5e-3  # [m] that a guarded line goes on beyond its end until it meets what carries the piece
 SETTLE = 0.2  # [s] after a placing
+FOLLOWING = 0.5  # [s] about, until a hand that follows down is stopped
 CLOSING, OPENING_TIME = 0.5, 0.4  # [s] for the hand to grip, and to let go
 SPEEDS = {
     "approach": HandLimits(0.15, 0.5),
@@ -39,7 +40,7 @@ SPEEDS = {
     "retreat": HandLimits(0.15, 0.3),
 }  # [m/s], [m/s2]
 THREADING = HandLimits(0.020, 0.06)  # [m/s], [m/s2] of what is guarded before that
-GUARDED = ("place", "set_down")
+GUARDED = ("place", "set_down", "follow")
 SLANT = 0.2, 0.98  # downward parts of the directions that count as slanted
 DOWN = readonly(np.array((0.0, 0.0, -1.0)))
 MOTIONS = ("transit", "transfer", "home", *SPEEDS)
@@ -56,7 +57,8 @@ class Segment:
 
     Attributes:
         kind: what it is; `transit`, `transfer`, `home` go around obstacles; `grasp`, `settle`, `release` are waits; the rest
-            are straight lines of the hand. `place` ends at the goal, `set_down` on the table; both are guarded.
+            are straight lines of the hand. `place` ends at the goal, `set_down` on the table; both are guarded, and so is
+            `follow`: a hand that holds a piece in place comes down with it onto what another hand has just let go of.
         step: of the plan; arm: index; piece: what it is about.
         path: joints every DT (n, 6) [rad]; empty for waits.
         offset: straight travel of the hand (3,) [m] for lines, else zero.
@@ -92,7 +94,7 @@ class Segment:
     @property
     def last_way(self) -> Array:
         """Unit vector (3,) along which a line ends."""
-        return DOWN if self.slanted else self.offset / np.linalg.norm(self.offset)
+        return DOWN if self.slanted or not self.offset.any() else self.offset / np.linalg.norm(self.offset)
 
     @property
     def seconds(self) -> float:

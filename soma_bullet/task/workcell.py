@@ -123,6 +123,12 @@ class Workcell:
         contacts = [c.into(index) for c in self.assembly.contacts if index in (c.body_a, c.body_b)]
         return any(float(c.normal @ along) < -HEAD_ON for c in contacts if c.body_a in there)
 
+    def carries(self, lower: str, upper: str) -> bool:
+        """Whether in the finished assembly a piece stands on another."""
+        below, above, up = self.assembly.index(lower), self.assembly.index(upper), self.T_world_assembly[2, :3]
+        contacts = [c.into(above) for c in self.assembly.contacts if {c.body_a, c.body_b} == {below, above}]
+        return any(float(c.normal @ up) > HEAD_ON for c in contacts)
+
     def idle(self) -> Hands:
         """Both arms at home, hands closed and empty."""
         return Hands(np.array(self.robot.home), np.array(self.robot.closed))

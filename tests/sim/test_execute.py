@@ -20,7 +20,7 @@ from soma_bullet.sim.execute import FINAL_SETTLE, Executor
 from soma_bullet.sim.guide import Compliance
 from soma_bullet.sim.stage import Physics
 from soma_bullet.sim.world import World
-from soma_bullet.task.segments import CLOSING, DT, GUARD, Kind, Segment
+from soma_bullet.task.segments import BEYOND, CLOSING, DT, FOLLOWING, GUARD, Kind, Segment
 from tests.blocks import SIDE, assembly, box
 
 STAND = (0.03, 0.03)
@@ -62,6 +62,12 @@ def executor(
 def reach(robot: Robot, cell: Cell, place: Array) -> Array:
     q: Array = robot.inverse(0, make_transform(DOWN, place), cell.arms[0].q_home)[0]
     return q
+
+
+def pressed(world: World) -> float:
+    """Force between block and table [N]."""
+    names = world.part_names()
+    return sum(force for a, b, force, _ in world.contacts() if {names[a], names[b]} == {"block", "table"})
 
 
 def wait(kind: Kind, duration: float, opening: float = np.nan) -> Segment:
@@ -179,6 +185,38 @@ def test_a_piece_that_sits_high_in_the_hand_is_set_down_where_it_touches(
     assert seen.outcome in ("as planned", "stopped early") and record.peak_force < 15.0
     assert height == pytest.approx(high if high and not beyond else 0.0, abs=0.1e-3)
     assert (record.peak_force > GUARD) == (not high or beyond > 0.0)
+
+
+@pytest.mark.parametrize("high", [0.0, 0.6e-3])
+def test_what_is_held_follows_down_until_it_rests(over: Executor, robot: Robot, high: float) -> None:
+    """Lifted by `high`, as if what had carried it were gone: it comes down by that, is not pressed on, and stays straight."""
+    over.compliance = Compliance()
+    over.run(wait("grasp", CLOSING, 0.0))
+    if high:
+        for way in (0.02, high - 0.02):
+            over.run(line(robot, over.world.cell, over.world.targets[0], np.array((0, 0, way)), "lift"))
+    before, pressed_before = over.world.piece_poses()["block"], pressed(over.world)
+    jacobian = robot.jacobian(0, over.world.targets[0])
+    seen = over.run(
+        replace(wait("follow", FOLLOWING), guard=GUARD, compliance=readonly(np.linalg.pinv(jacobian)), beyond=BEYOND)
+    )
+    after = over.world.piece_poses()["block"]
+    assert seen.outcome in ("as planned", "stopped early")
+    assert after[2, 3] == pytest.approx(1.5 * SIDE - over.world.assembly.pieces[0].clearance, abs=0.1e-3)
+    assert np.linalg.norm(after[:2, 3] - before[:2, 3]) < 0.1e-3
+    assert after[2, 2] > np.cos(np.deg2rad(0.2))
+    over.wait(0.1)
+    assert (pressed_before == 0.0) == (high > 0.0)
+    assert pressed(over.world) < pressed_before + GUARD
+
+
+def test_without_compliance_a_hand_that_should_follow_stays(over: Executor) -> None:
+    over.run(wait("grasp", CLOSING, 0.0))
+    before = over.world.targets.copy()
+    seen = over.run(replace(wait("follow", FOLLOWING), guard=GUARD, beyond=BEYOND))
+    np.testing.assert_array_equal(over.world.targets, before)
+    record = over.recorder.segments[-1]
+    assert seen.outcome == "as planned" and record.end - record.start == pytest.approx(FOLLOWING)
 
 
 def test_the_final_rest_ends_the_log(cell: Cell, block: Assembly) -> None:

@@ -58,8 +58,24 @@ def test_every_piece_goes_through_every_stage(program: Program, plan: AssemblyPl
         assert all((s.piece, s.arm) == (piece, program.schedule.assignments[step].arm) for s in mine[: len(STEP)])
         rest = [s.kind for s in mine[len(STEP) :]]
         releases = len(program.schedule.assignments[step].releases)
-        assert rest[: 2 * releases] == ["release", "retreat"] * releases
-        assert set(rest[2 * releases :]) <= {"home"}
+        changes = [kind for kind in rest if kind != "follow"]
+        assert changes[: 2 * releases] == ["release", "retreat"] * releases
+        assert set(changes[2 * releases :]) <= {"home"}
+
+
+def test_what_is_held_on_a_piece_follows_when_that_is_let_go(program: Program, plan: AssemblyPlan, workcell: Workcell) -> None:
+    """In soma3 each piece stands on the one before: whoever holds the upper one then lets it down, and nobody else does."""
+    follows = [k for k, s in enumerate(program.segments) if s.kind == "follow"]
+    held = {}
+    for k, segment in enumerate(program.segments):
+        if segment.kind == "settle":
+            held[segment.arm] = segment.piece
+        elif segment.kind == "release" and segment.piece in held.values():
+            held.pop(segment.arm)
+            expected = {(arm, piece) for arm, piece in held.items() if workcell.carries(segment.piece, piece)}
+            found = {(program.segments[j].arm, program.segments[j].piece) for j in (k + 2,) if j in follows}
+            assert found == expected
+    assert follows and all(program.segments[k].beyond > 0.0 < program.segments[k].guard for k in follows)
     assert [s.step for s in program.segments] == sorted(s.step for s in program.segments)
 
 
