@@ -92,9 +92,9 @@ def test_the_report_says_everything(built: Run) -> None:
 def test_grips_do_not_slip_and_holds_do_not_drift(built: Run) -> None:
     judgement = built.report.judgement
     assert max(slip.slip_mm for slip in judgement.slips) < 1.0
-    assert {hold.piece for hold in judgement.holds} >= {"Z"}
+    assert max(hold.seconds for hold in judgement.holds if hold.piece == "Z") > 1.0
     for hold in judgement.holds:
-        assert hold.seconds > 1.0 and hold.drift_mm < 1.0 and hold.grip_n > 10.0
+        assert hold.drift_mm < 1.0 and hold.grip_n > 10.0
     assert all(insertion.peak_n < 10.0 and insertion.outcome != "jammed" for insertion in judgement.insertions)
 
 
