@@ -62,8 +62,8 @@ FRICTION_ERP = 0.8  # of what an anchored contact has slid, how much is undone i
 GEAR_ERP = 0.2
 GEAR_FORCE = 1e4  # [N]
 TABLE_FRICTION = 0.5
-TORSION = 2e-3  # [m] lever at which a pad resists turning about its normal: one corner may carry all of its force
-PATCH = 0.25e-3  # [m] the same of every other body, half of what a pair has: a corner stands on a patch, not on a point
+TORSION = 1e-3  # [m] lever at which a body resists turning about a contact's normal, half of what two have that touch: where
+# faces meet the simulator may list a single corner, on which a piece would spin under the least push
 
 
 class Stage:
@@ -151,7 +151,7 @@ class Stage:
         scale = np.sqrt(self.physics.friction)
         for arm, links in zip(self.cell.arms, self.finger_links, strict=True):
             for body, link in links:
-                self._rub(body, link, np.sqrt(arm.hand.pad_friction) * scale, anchor=True, torsion=TORSION)
+                self._rub(body, link, np.sqrt(arm.hand.pad_friction) * scale, anchor=True)
 
     def _below(self, body: int, link: int) -> list[int]:
         """A link and all that it carries."""
@@ -183,16 +183,15 @@ class Stage:
             self.fixtures[name] = p.createMultiBody(
                 0, shape, basePosition=[float(v) for v in centre], physicsClientId=self.client
             )
-            self._rub(self.fixtures[name], -1, np.sqrt(friction * self.physics.friction), torsion=PATCH)
+            self._rub(self.fixtures[name], -1, np.sqrt(friction * self.physics.friction))
 
-    def _rub(self, body: int, link: int, coefficient: float, anchor: bool = False, torsion: float = 0.0) -> None:
+    def _rub(self, body: int, link: int, coefficient: float, anchor: bool = False) -> None:
         """Set friction. Bullet multiplies two bodies' coefficients: with the root of each they meet in the mean.
 
-        Args:
-            torsion: lever of the friction against turning about a contact's normal [m] (soft finger).
+        Against turning about a contact's normal as well, like a soft finger.
         """
         p.changeDynamics(
-            body, link, lateralFriction=float(coefficient), spinningFriction=float(torsion * coefficient), rollingFriction=0.0,
+            body, link, lateralFriction=float(coefficient), spinningFriction=float(TORSION * coefficient), rollingFriction=0.0,
             frictionAnchor=int(anchor), physicsClientId=self.client,
         )  # fmt: skip
 
@@ -206,7 +205,7 @@ class Stage:
             T_piece_inertial = transform_of(info[3], info[4])
             position, quat_xyzw = to_quat_xyzw(poses[piece.name] @ T_piece_inertial)
             p.resetBasePositionAndOrientation(body, position, quat_xyzw, physicsClientId=self.client)
-            self._rub(body, -1, np.sqrt(piece.friction * self.physics.friction), anchor=True, torsion=PATCH)
+            self._rub(body, -1, np.sqrt(piece.friction * self.physics.friction), anchor=True)
             if self.physics.mass != 1.0:
                 inertia = [self.physics.mass * value for value in info[2]]
                 p.changeDynamics(
