@@ -214,10 +214,13 @@ class ProgramBuilder:
         yield self._wait(a, "grasp", CLOSING, 0.0, who, width)
 
     def _leave(self, a: Assignment | None, who: Who) -> Iterator[Made]:
-        """A hand opens and goes straight back."""
+        """A hand opens and goes straight back; between the two, what others hold on its piece comes down onto that."""
         hands = self.context.hands
         widest = self.workcell.robot.arm(who[0]).hand.opening
         yield self._wait(a, "release", OPENING_TIME, min(float(hands.openings[who[0]]) + 2 * OPENING, widest), who)
+        for arm, held in sorted(self.context.hands.gripped.items()):
+            if arm != who[0] and {who[1], held} <= self.context.placed and self.workcell.carries(who[1], held):
+                yield self._wait(a, "follow", FOLLOWING, np.nan, (arm, held))
         yield self._line(a, "retreat", -self._tool(who[0], hands.qs[who[0]]) * APPROACH, who)
 
     def _tool(self, arm: int, q: Array) -> Array:
@@ -268,13 +271,6 @@ class ProgramBuilder:
                     yield from self._take(a, (take.arm, take.piece), take.q_before, take.q_hold, take.width)
             if n < len(releases):
                 yield from self._leave(a, (releases[n].arm, releases[n].piece))
-                yield from self._follow(a, releases[n].piece)
-
-    def _follow(self, a: Assignment | None, released: str) -> Iterator[Made]:
-        """What hands hold on top of a piece that has just been let go comes down onto it."""
-        for arm, held in sorted(self.context.hands.gripped.items()):
-            if held in self.context.placed and self.workcell.carries(released, held):
-                yield self._wait(a, "follow", FOLLOWING, np.nan, (arm, held))
 
     # --- one segment ---------------------------------------------------------------------------------------------------
 

@@ -73,7 +73,7 @@ def test_what_is_held_on_a_piece_follows_when_that_is_let_go(program: Program, p
         elif segment.kind == "release" and segment.piece in held.values():
             held.pop(segment.arm)
             expected = {(arm, piece) for arm, piece in held.items() if workcell.carries(segment.piece, piece)}
-            found = {(program.segments[j].arm, program.segments[j].piece) for j in (k + 2,) if j in follows}
+            found = {(program.segments[j].arm, program.segments[j].piece) for j in (k + 1,) if j in follows}
             assert found == expected
     assert follows and all(program.segments[k].beyond > 0.0 < program.segments[k].guard for k in follows)
     assert [s.step for s in program.segments] == sorted(s.step for s in program.segments)
