@@ -229,7 +229,7 @@ class Executive:
         What is seen, the mean of some looks if they err, counts from `sigmas` of its error on.
         """
         looks = LOOKS if any(self.feed.noise) else 1
-        shift, turn = np.mean([self._misplaced(segment) for _ in range(looks)], axis=0)
+        shift, turn = np.mean([self._misplaced(segment, seen[segment.piece]) for seen in self._looks(looks)], axis=0)
         doubt_mm, doubt_deg = sigmas * np.array(self.feed.noise) / np.sqrt(looks)
         if sigmas and np.linalg.norm(shift) < (CERTAIN_MM + doubt_mm) * 1e-3:
             if np.linalg.norm(turn) < np.deg2rad(CERTAIN_DEG + doubt_deg):
@@ -245,12 +245,12 @@ class Executive:
         path = segment.path + ramp * share * change
         return replace(segment, path=readonly(joined(path, self.executor.world.measured_joints()[segment.arm])))
 
-    def _misplaced(self, segment: Segment) -> tuple[Array, Array]:
-        """A look at what is placed: how the hand has to end elsewhere (3,) [m], (3,) [rad] for the piece to get to its goal."""
-        robot, arm, piece = self.workcell.robot, segment.arm, segment.piece
-        T_tcp_piece = inverse(robot.tcp(arm, self.executor.world.measured_joints()[arm])) @ self._look()[piece]
+    def _misplaced(self, segment: Segment, seen: Array) -> tuple[Array, Array]:
+        """How the hand has to end elsewhere (3,) [m], (3,) [rad] for the piece that is seen in it to get to its goal."""
+        robot, arm = self.workcell.robot, segment.arm
+        T_tcp_piece = inverse(robot.tcp(arm, self.executor.world.measured_joints()[arm])) @ seen
         planned = robot.tcp(arm, segment.path[-1])
-        wanted = self.workcell.settled[piece] @ inverse(T_tcp_piece)
+        wanted = self.workcell.settled[segment.piece] @ inverse(T_tcp_piece)
         turn = Rotation.from_matrix(wanted[:3, :3] @ planned[:3, :3].T).as_rotvec()
         return wanted[:3, 3] - planned[:3, 3], turn
 
@@ -274,15 +274,19 @@ class Executive:
 
     # --- looking, and going on from what is found --------------------------------------------------------------------------
 
-    def _look(self) -> dict[str, Array]:
-        """Perceived T_world_piece of every piece."""
-        self.looks += 1
-        poses = self.executor.world.piece_poses()
-        feed = self.program.feed
+    def _looks(self, times: int) -> list[dict[str, Array]]:
+        """Perceived T_world_piece of every piece, so many times; each look errs anew."""
+        poses, feed = self.executor.world.piece_poses(), self.program.feed
         there = replace(feed, poses=readonly(np.array([poses[name] for name in feed.names])))
-        seen = misplace(self.workcell.assembly, there, self.feed, self.program.seed + 7919 * self.looks)
-        self._event("looked", "", "")
-        return {name: seen.pose(name) for name in seen.names}
+        seeds = [self.program.seed + 7919 * (self.looks + k) for k in range(1, times + 1)]
+        self.looks += times
+        self._event("looked", "", f"{times} times" if times > 1 else "")
+        looks = [misplace(self.workcell.assembly, there, self.feed, seed) for seed in seeds]
+        return [{name: seen.pose(name) for name in seen.names} for seen in looks]
+
+    def _look(self) -> dict[str, Array]:
+        """One of them."""
+        return self._looks(1)[0]
 
     def _fallen(self, poses: Mapping[str, Array] | None = None) -> list[str]:
         """Pieces that were placed and are seen elsewhere."""

@@ -116,3 +116,13 @@ def test_the_hand_stays_within_reach_and_never_jumps() -> None:
     steps = np.linalg.norm(np.diff(places, axis=0), axis=1)
     assert np.linalg.norm(places, axis=1).max() < rules.reach + 1e-9
     assert steps.max() < 1.5 * rules.speed * DT
+
+
+def test_what_has_met_an_edge_goes_in_carefully() -> None:
+    rules = Compliance()
+    guide = Guide(DOWN, rules)
+    assert guide.update(np.zeros(3), DT, left=10e-3) == 1.0
+    guide.update(blocked(rules.search + 0.1), DT, left=8e-3)
+    for deeper in (0.0, 0.5e-3, 0.9 * rules.entry):
+        assert guide.update(np.zeros(3), DT, left=8e-3 - deeper) == rules.careful
+    assert guide.update(np.zeros(3), DT, left=8e-3 - 1.01 * rules.entry) == 1.0

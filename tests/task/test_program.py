@@ -61,9 +61,10 @@ def test_every_piece_goes_through_every_stage(program: Program, plan: AssemblyPl
         changes = [kind for kind in rest if kind != "follow"]
         assert changes[: 2 * releases] == ["release", "retreat"] * releases
         assert set(changes[2 * releases :]) <= {"home"}
+    assert [s.step for s in program.segments] == sorted(s.step for s in program.segments)
 
 
-def test_what_is_held_on_a_piece_follows_when_that_is_let_go(program: Program, plan: AssemblyPlan, workcell: Workcell) -> None:
+def test_what_is_held_on_a_piece_follows_when_that_is_let_go(program: Program, workcell: Workcell) -> None:
     """In soma3 each piece stands on the one before: whoever holds the upper one then lets it down, and nobody else does."""
     follows = [k for k, s in enumerate(program.segments) if s.kind == "follow"]
     held = {}
@@ -76,7 +77,6 @@ def test_what_is_held_on_a_piece_follows_when_that_is_let_go(program: Program, p
             found = {(program.segments[j].arm, program.segments[j].piece) for j in (k + 1,) if j in follows}
             assert found == expected
     assert follows and all(program.segments[k].beyond > 0.0 < program.segments[k].guard for k in follows)
-    assert [s.step for s in program.segments] == sorted(s.step for s in program.segments)
 
 
 def test_segments_start_where_the_arm_is(program: Program, workcell: Workcell) -> None:

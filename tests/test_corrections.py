@@ -1,0 +1,115 @@
+"""What the executive makes of a piece that it sees elsewhere in the hand than planned; nothing moves here."""
+
+from __future__ import annotations
+
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from soma_bullet.assembly.file import load_assembly
+from soma_bullet.executive import GONE_MM, LOOKS, ExecutionOptions, Executive
+from soma_bullet.frames import Array, inverse
+from soma_bullet.planner.assembly_plan import AssemblyPlan
+from soma_bullet.planner.qualities import PlannerOptions
+from soma_bullet.planner.store import kept_plan
+from soma_bullet.robot.cell import load_cell
+from soma_bullet.task.feed import FeedOptions, draw_feed
+from soma_bullet.task.program import make_program
+from soma_bullet.task.segments import Program, Segment
+from soma_bullet.task.workcell import Workcell
+
+
+@cache
+def planned() -> tuple[Workcell, AssemblyPlan, Program]:
+    whole, cell = load_assembly("soma3"), load_cell("ur5e_pair")
+    plan = kept_plan(whole, cell.arms[0].hand, PlannerOptions())
+    workcell = Workcell(whole, cell)
+    feed = draw_feed(whole, plan, cell, 0, FeedOptions(poses="preferred"))
+    return workcell, plan, make_program(workcell, plan, feed, 0)
+
+
+def before_placing(shift: Array, turn: Array, noise: tuple[float, float] = (0.0, 0.0)) -> tuple[Executive, Segment]:
+    """The first piece is about to be placed, displaced in the hand by a shift [m] and a turn [rad] about the hand's centre."""
+    workcell, plan, program = planned()
+    segment = next(s for s in program.segments if s.kind == "place")
+    robot, arm = workcell.robot, segment.arm
+    T_tcp_piece = inverse(robot.tcp(arm, segment.path[-1])) @ workcell.settled[segment.piece]
+    slip = np.eye(4)
+    slip[:3, :3], slip[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), shift
+    qs = np.array(robot.home)
+    qs[arm] = segment.path[0]
+    poses = {name: np.array(program.feed.pose(name)) for name in program.feed.names}
+    poses[segment.piece] = robot.tcp(arm, qs[arm]) @ slip @ T_tcp_piece
+    world = SimpleNamespace(measured_joints=lambda: qs, piece_poses=lambda: poses, time=0.0)
+    executor = SimpleNamespace(world=world, recorder=SimpleNamespace(events=[]))
+    feed = FeedOptions(noise_mm=noise[0], noise_deg=noise[1])
+    executive = Executive(workcell, plan, program, executor, feed, ExecutionOptions())  # type: ignore[arg-type]
+    executive.gripped = {arm: segment.piece}
+    return executive, segment
+
+
+def ends_at_goal(executive: Executive, segment: Segment, shift: Array, turn: Array) -> tuple[float, float]:
+    """Where the displaced piece ends with a corrected placing: off its goal by [m], [rad]."""
+    robot, goal = executive.workcell.robot, executive.workcell.settled[segment.piece]
+    T_tcp_piece = inverse(robot.tcp(segment.arm, executive.program.segments[_index(executive, segment)].path[-1])) @ goal
+    slip = np.eye(4)
+    slip[:3, :3], slip[:3, 3] = Rotation.from_rotvec(turn).as_matrix(), shift
+    ended = robot.tcp(segment.arm, segment.path[-1]) @ slip @ T_tcp_piece
+    away = Rotation.from_matrix(ended[:3, :3] @ goal[:3, :3].T).magnitude()
+    return float(np.linalg.norm(ended[:3, 3] - goal[:3, 3])), float(away)
+
+
+def _index(executive: Executive, segment: Segment) -> int:
+    return next(k for k, s in enumerate(executive.program.segments) if (s.kind, s.piece) == ("place", segment.piece))
+
+
+NOTHING = np.zeros(3)
+
+
+def test_what_sits_as_planned_is_placed_as_planned() -> None:
+    executive, segment = before_placing(NOTHING, NOTHING)
+    assert executive._corrected(segment, 3.0) is segment
+
+
+@pytest.mark.parametrize("axis", np.eye(3))
+def test_a_small_slip_is_made_up_for(axis: Array) -> None:
+    shift, turn = 0.4e-3 * axis, np.deg2rad(0.6) * axis
+    executive, segment = before_placing(shift, turn)
+    bent = executive._corrected(segment, 3.0)
+    assert isinstance(bent, Segment)
+    before, after = ends_at_goal(executive, segment, shift, turn), ends_at_goal(executive, bent, shift, turn)
+    assert after[0] < 0.25 * before[0] and after[1] < 0.25 * before[1]  # the Jacobian is that of the end, damped
+    np.testing.assert_array_equal(bent.path[0], segment.path[0])
+
+
+def test_a_piece_that_has_turned_far_is_planned_anew() -> None:
+    executive, segment = before_placing(NOTHING, np.deg2rad(np.array((0.0, 25.0, 0.0))))
+    assert executive._corrected(segment, 3.0) == "turned"
+
+
+def test_not_while_the_other_hand_carries_too() -> None:
+    """Recoveries know of one carried piece: with two, as much is corrected as the joints allow."""
+    turn = np.deg2rad(np.array((0.0, 25.0, 0.0)))
+    executive, segment = before_placing(NOTHING, turn)
+    executive.gripped[1 - segment.arm] = executive.plan.order[-1]
+    bent = executive._corrected(segment, 3.0)
+    assert isinstance(bent, Segment)
+    assert ends_at_goal(executive, bent, NOTHING, turn)[1] < ends_at_goal(executive, segment, NOTHING, turn)[1]
+
+
+def test_a_piece_that_is_seen_far_away_is_lost() -> None:
+    executive, segment = before_placing(np.array((0.0, 0.0, 1.1 * GONE_MM * 1e-3)), NOTHING)
+    assert executive._corrected(segment, 3.0) == "lost"
+
+
+def test_looks_that_err_are_averaged_and_logged_once() -> None:
+    turn = np.deg2rad(np.array((0.0, 1.2, 0.0)))
+    executive, segment = before_placing(NOTHING, turn, noise=(0.5, 0.5))
+    bent = executive._corrected(segment, 3.0)
+    assert isinstance(bent, Segment) and executive.looks == LOOKS
+    assert ends_at_goal(executive, bent, NOTHING, turn)[1] < np.deg2rad(0.5)
+    (event,) = executive.executor.recorder.events
+    assert (event.kind, event.text) == ("looked", f"{LOOKS} times")
