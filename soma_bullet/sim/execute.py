@@ -85,6 +85,7 @@ class Executor:
         self._running: dict[int, tuple[Segment, Generator[None, None, Observation]]] = {}
         self._ended: list[tuple[Segment, Observation]] = []
         self._carried: dict[int, float] = {}  # arm -> width of what it holds [m]
+        self._tares: dict[int, Array] = {}  # arm -> force on the hand with what it holds in the air (3,) [N]
 
     # --- running ---------------------------------------------------------------------------------------------------------
 
@@ -131,6 +132,7 @@ class Executor:
             yield from self._grip(arm)
         elif segment.kind == "release":
             self._carried.pop(arm, None)
+            self._tares.pop(arm, None)
             yield from self._let_go(arm, segment.opening)
         elif not np.isnan(segment.opening):
             world.open_hand(arm, segment.opening)
@@ -191,10 +193,14 @@ class Executor:
 
     def _travel(self, segment: Segment, motion: _Motion) -> Steps:
         if segment.guard and self.compliance is not None and len(segment.compliance):
-            tare = yield from self._mean_force(segment.arm)
+            force = yield from self._mean_force(segment.arm)
             if len(segment.path):
+                tare = self._tares[segment.arm] = force
                 yield from self._guided(segment, motion, self.compliance, tare)
             else:
+                tare = self._tares.get(segment.arm, force)
+                if (tare - force) @ segment.last_way > RESTING:  # it rests on something; pressed on, that would creep away
+                    return
                 yield from self._lowered(segment, motion, self.compliance, tare, np.array(self.world.targets[segment.arm]), 0.0)
             if motion.outcome != "jammed":
                 yield from self._ease(segment, tare)
