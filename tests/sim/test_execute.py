@@ -16,7 +16,7 @@ from soma_bullet.motion.line import sample_line
 from soma_bullet.motion.timing import HandLimits, time_path
 from soma_bullet.robot.cell import Cell, load_cell
 from soma_bullet.robot.kinematics import Robot
-from soma_bullet.sim.execute import FINAL_SETTLE, Executor
+from soma_bullet.sim.execute import FINAL_SETTLE, RESTING, Executor
 from soma_bullet.sim.guide import Compliance
 from soma_bullet.sim.stage import Physics
 from soma_bullet.sim.world import World
@@ -208,6 +208,21 @@ def test_what_is_held_follows_down_until_it_rests(over: Executor, robot: Robot, 
     over.wait(0.1)
     assert (pressed_before == 0.0) == (high > 0.0)
     assert pressed(over.world) < pressed_before + GUARD
+
+
+def test_what_rests_on_something_is_not_pressed(over: Executor, robot: Robot) -> None:
+    """After a placing the hand knows what the piece weighs in the air: one that rests on something does not go down."""
+    over.compliance = Compliance()
+    over.run(wait("grasp", CLOSING, 0.0))
+    over.run(line(robot, over.world.cell, over.world.targets[0], np.array((0, 0, 0.02)), "lift"))
+    lowering = line(robot, over.world.cell, over.world.targets[0], np.array((0, 0, -0.02)), "place", GUARD, 0.010)
+    stiffness = readonly(np.linalg.pinv(robot.jacobian(0, lowering.path[-1])))
+    over.run(replace(lowering, compliance=stiffness, beyond=BEYOND))
+    over._tares[0] = over._tares[0] - (0.0, 0.0, 2 * RESTING)  # something leans on it from below
+    held = over.world.targets.copy()
+    seen = over.run(replace(wait("follow", FOLLOWING), guard=GUARD, compliance=stiffness, beyond=BEYOND))
+    assert seen.outcome == "as planned" and over.recorder.segments[-1].peak_force == 0.0
+    np.testing.assert_array_equal(over.world.targets, held)
 
 
 def test_without_compliance_a_hand_that_should_follow_stays(over: Executor) -> None:
