@@ -58,7 +58,7 @@ class Physics:
 SOLVERS = {"dantzig": p.CONSTRAINT_SOLVER_LCP_DANTZIG, "pgs": p.CONSTRAINT_SOLVER_LCP_SI}
 Part = tuple[int, int]  # body and link; -1 is the body itself
 
-FRICTION_ERP = 0.4  # of what an anchored contact has slid, how much is undone in a step; of more, pinched pieces chatter
+FRICTION_ERP = 0.8  # of what an anchored contact has slid, how much is undone in a step
 GEAR_ERP = 0.2
 GEAR_FORCE = 1e4  # [N]
 TABLE_FRICTION = 0.5
