@@ -35,7 +35,8 @@ RECOVERIES = 6  # in one episode
 OFF_MM, OFF_DEG = 5.0, 10.0  # [mm], [deg] a piece that is seen farther from its goal has been lost
 GONE_MM = 15.0  # [mm] one that a hand would have to move farther for is not in the hand any more
 CERTAIN_MM, CERTAIN_DEG = 0.1, 0.2  # [mm], [deg] smaller differences are not worth a correction
-LOOKS = 9  # at a piece in the hand before it is placed, if perception errs: each errs anew
+LOOKS = 16  # at a piece in the hand before it is placed, if perception errs: each errs anew
+DOUBT = 2.0  # standard errors of their mean by which a piece may seem displaced before that counts
 LARGEST_CHANGE = np.array((0.02, 0.02, 0.02, 0.12, 0.12, 0.12))  # [rad] of each joint by a correction; of more it is a share
 TURNED_DEG = 1.5  # [deg] that a correction may leave; a piece that has turned farther in the hand is planned with anew
 BEND = 0.3  # of a placing, over which its path is bent to where the piece is seen in the hand
@@ -195,7 +196,7 @@ class Executive:
         """
         if segment.kind != "place" or not self.correct:
             return (yield segment)
-        corrected = self._corrected(segment, 3.0)
+        corrected = self._corrected(segment, DOUBT)
         if isinstance(corrected, Segment):
             segment = corrected
         elif self.recover:

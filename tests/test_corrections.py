@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from soma_bullet.assembly.file import load_assembly
-from soma_bullet.executive import GONE_MM, LOOKS, ExecutionOptions, Executive
+from soma_bullet.executive import DOUBT, GONE_MM, LOOKS, ExecutionOptions, Executive
 from soma_bullet.frames import Array, inverse
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.qualities import PlannerOptions
@@ -71,14 +71,14 @@ NOTHING = np.zeros(3)
 
 def test_what_sits_as_planned_is_placed_as_planned() -> None:
     executive, segment = before_placing(NOTHING, NOTHING)
-    assert executive._corrected(segment, 3.0) is segment
+    assert executive._corrected(segment, DOUBT) is segment
 
 
 @pytest.mark.parametrize("axis", np.eye(3))
 def test_a_small_slip_is_made_up_for(axis: Array) -> None:
     shift, turn = 0.4e-3 * axis, np.deg2rad(0.6) * axis
     executive, segment = before_placing(shift, turn)
-    bent = executive._corrected(segment, 3.0)
+    bent = executive._corrected(segment, DOUBT)
     assert isinstance(bent, Segment)
     before, after = ends_at_goal(executive, segment, shift, turn), ends_at_goal(executive, bent, shift, turn)
     assert after[0] < 0.25 * before[0] and after[1] < 0.25 * before[1]  # the Jacobian is that of the end, damped
@@ -87,7 +87,7 @@ def test_a_small_slip_is_made_up_for(axis: Array) -> None:
 
 def test_a_piece_that_has_turned_far_is_planned_anew() -> None:
     executive, segment = before_placing(NOTHING, np.deg2rad(np.array((0.0, 25.0, 0.0))))
-    assert executive._corrected(segment, 3.0) == "turned"
+    assert executive._corrected(segment, DOUBT) == "turned"
 
 
 def test_not_while_the_other_hand_carries_too() -> None:
@@ -95,20 +95,20 @@ def test_not_while_the_other_hand_carries_too() -> None:
     turn = np.deg2rad(np.array((0.0, 25.0, 0.0)))
     executive, segment = before_placing(NOTHING, turn)
     executive.gripped[1 - segment.arm] = executive.plan.order[-1]
-    bent = executive._corrected(segment, 3.0)
+    bent = executive._corrected(segment, DOUBT)
     assert isinstance(bent, Segment)
     assert ends_at_goal(executive, bent, NOTHING, turn)[1] < ends_at_goal(executive, segment, NOTHING, turn)[1]
 
 
 def test_a_piece_that_is_seen_far_away_is_lost() -> None:
     executive, segment = before_placing(np.array((0.0, 0.0, 1.1 * GONE_MM * 1e-3)), NOTHING)
-    assert executive._corrected(segment, 3.0) == "lost"
+    assert executive._corrected(segment, DOUBT) == "lost"
 
 
 def test_looks_that_err_are_averaged_and_logged_once() -> None:
     turn = np.deg2rad(np.array((0.0, 1.2, 0.0)))
     executive, segment = before_placing(NOTHING, turn, noise=(0.5, 0.5))
-    bent = executive._corrected(segment, 3.0)
+    bent = executive._corrected(segment, DOUBT)
     assert isinstance(bent, Segment) and executive.looks == LOOKS
     assert ends_at_goal(executive, bent, NOTHING, turn)[1] < np.deg2rad(0.5)
     (event,) = executive.executor.recorder.events
