@@ -62,6 +62,11 @@ FRICTION_ERP = 0.8  # of what an anchored contact has slid, how much is undone i
 GEAR_ERP = 0.2
 GEAR_FORCE = 1e4  # [N]
 TABLE_FRICTION = 0.5
+PAD_STIFFNESS, PAD_DAMPING = (
+    5e5,
+    1e3,
+)  # [N/m], [N s/m] of a contact with a pad, about 2 mm of rubber: pads sink in by some 0.01 mm,
+# and keep their contacts; between rigid boxes these vanish as soon as rounding parts them, and the other pad kicks the piece
 TORSION = 1e-3  # [m] lever at which a body resists turning about a contact's normal, half of what two have that touch: where
 # faces meet the simulator may list a single corner, on which a piece would spin under the least push
 
@@ -152,6 +157,9 @@ class Stage:
         for arm, links in zip(self.cell.arms, self.finger_links, strict=True):
             for body, link in links:
                 self._rub(body, link, np.sqrt(arm.hand.pad_friction) * scale, anchor=True)
+                p.changeDynamics(
+                    body, link, contactStiffness=PAD_STIFFNESS, contactDamping=PAD_DAMPING, physicsClientId=self.client
+                )
 
     def _below(self, body: int, link: int) -> list[int]:
         """A link and all that it carries."""
