@@ -62,11 +62,9 @@ FRICTION_ERP = 0.8  # of what an anchored contact has slid, how much is undone i
 GEAR_ERP = 0.2
 GEAR_FORCE = 1e4  # [N]
 TABLE_FRICTION = 0.5
-PAD_STIFFNESS, PAD_DAMPING = (
-    5e5,
-    1e3,
-)  # [N/m], [N s/m] of a contact with a pad, about 2 mm of rubber: pads sink in by some 0.01 mm,
-# and keep their contacts; between rigid boxes these vanish as soon as rounding parts them, and the other pad kicks the piece
+# Contacts of a pad, about 2 mm of rubber, which sinks in by some 0.01 mm: those of rigid boxes vanish as soon as rounding parts
+# them, and the other pad then kicks the piece.
+PAD_STIFFNESS, PAD_DAMPING = 5e5, 1e3  # [N/m], [N s/m]
 TORSION = 1e-3  # [m] lever at which a body resists turning about a contact's normal, half of what two have that touch: where
 # faces meet the simulator may list a single corner, on which a piece would spin under the least push
 
