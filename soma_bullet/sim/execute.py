@@ -131,8 +131,6 @@ class Executor:
         if segment.kind == "grasp":
             yield from self._grip(arm)
         elif segment.kind == "release":
-            self._carried.pop(arm, None)
-            self._tares.pop(arm, None)
             yield from self._let_go(arm, segment.opening)
         elif not np.isnan(segment.opening):
             world.open_hand(arm, segment.opening)
@@ -178,6 +176,8 @@ class Executor:
 
     def _let_go(self, arm: int, opening: float) -> Steps:
         """Ease the grip before the pads leave: a piece that is let go while squeezed hard gets a kick."""
+        self._carried.pop(arm, None)
+        self._tares.pop(arm, None)
         yield from self._ramp(arm, self.world.grip_force(arm), EASED_FORCE)
         self.world.open_hand(arm, opening, EASED_SPEED)
         yield from self._rest(EASED_TIME)
