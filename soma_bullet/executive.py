@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -21,6 +22,7 @@ from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.sim.execute import Executor, Observation
 from soma_bullet.sim.log import Event
 from soma_bullet.task.assignments import Carried, Start
+from soma_bullet.task.beside import Beside
 from soma_bullet.task.feed import FeedOptions, misplace
 from soma_bullet.task.motions import joined
 from soma_bullet.task.overlap import overlapped
@@ -39,6 +41,8 @@ LOOKS = 16  # at a piece in the hand before it is placed, if perception errs: ea
 DOUBT = 2.0  # standard errors of their mean by which a piece may seem displaced before that counts
 LARGEST_CHANGE = np.array((0.02, 0.02, 0.02, 0.12, 0.12, 0.12))  # [rad] of each joint by a correction; of more it is a share
 TURNED_DEG = 1.5  # [deg] that a correction may leave; a piece that has turned farther in the hand is planned with anew
+SHARES = (1.0, 0.75, 0.5, 0.25)  # of a correction, the first of which leaves the arms apart is made
+APART = 3e-3  # [m] between arms that no correction takes away; where less was planned, that
 BEND = 0.3  # of a placing, over which its path is bent to where the piece is seen in the hand
 Progress = Callable[[str, float], None]
 Detour = Generator[Segment, Observation, Observation]
@@ -163,7 +167,7 @@ class Executive:
                 if ready is not None:
                     k = queue.pop(0)
                     self.progress(f"{arms[arm].name}: {ready.kind} {ready.piece}", len(done) / len(program.segments))
-                    detour = self._detour(ready)
+                    detour = self._detour(ready, partial(self._beside, program, k, done))
                     try:
                         following = next(detour)
                     except StopIteration as stop:  # it does not even begin
@@ -189,14 +193,18 @@ class Executive:
             return replace(segment, path=readonly(joined(segment.path, qs[segment.arm])))
         return None if self.executor.busy else replan(self.workcell, program, k, qs)
 
-    def _detour(self, segment: Segment) -> Detour:
+    def _beside(self, program: Program, k: int, done: set[int]) -> Beside:
+        """The other arms while a segment runs that is about to."""
+        return Beside(self.workcell, program, k, self.executor.world.measured_joints(), done)
+
+    def _detour(self, segment: Segment, beside: Callable[[], Beside]) -> Detour:
         """What is run for a segment: itself, and what is tried where an insertion jams. Returns the last observation.
 
         Before a piece is placed a look at it in the hand tells whether it sits there as planned.
         """
         if segment.kind != "place" or not self.correct:
             return (yield segment)
-        corrected = self._corrected(segment, DOUBT)
+        corrected = self._corrected(segment, beside, DOUBT)
         if isinstance(corrected, Segment):
             segment = corrected
         elif self.recover:
@@ -211,7 +219,7 @@ class Executive:
             q = self.executor.world.measured_joints()[segment.arm]
             back = joined(self._reached(segment, seen)[::-1], q)
             yield replace(segment, kind="back_off", path=readonly(back), offset=-segment.offset, guard=0.0)
-            bent = self._corrected(segment)
+            bent = self._corrected(segment, beside)
             if not isinstance(bent, Segment):
                 return replace(seen, outcome=bent)
             seen = yield bent
@@ -223,9 +231,9 @@ class Executive:
         last = round((len(segment.path) - 1) * (1.0 - seen.remaining / max(length, 1e-12)))
         return segment.path[: max(last, 1) + 1]
 
-    def _corrected(self, segment: Segment, sigmas: float = 0.0) -> Segment | str:
-        """A placing bent to where the piece is seen in the hand; `turned` where the path cannot be bent so far, and
-        it is better to plan anew; `lost` where the piece is not in the hand any more.
+    def _corrected(self, segment: Segment, beside: Callable[[], Beside], sigmas: float = 0.0) -> Segment | str:
+        """A placing bent to where the piece is seen in the hand; `turned` where joints or the other arm forbid to bend it so
+        far, and it is better to plan anew; `lost` where the piece is not in the hand any more.
 
         What is seen, the mean of some looks if they err, counts from `sigmas` of its error on.
         """
@@ -238,12 +246,17 @@ class Executive:
         if np.linalg.norm(shift) > GONE_MM * 1e-3:
             return "lost"
         change = segment.compliance @ np.concatenate([shift, turn])
-        share = 1.0 / max(1.0, *(np.abs(change) / LARGEST_CHANGE))
+        largest = 1.0 / max(1.0, *(np.abs(change) / LARGEST_CHANGE))
+        ramp = np.clip(np.linspace(0.0, 1.0 / BEND, len(segment.path)), 0.0, 1.0)[:, None]
+        arms = beside()
+        kept = min(APART, arms.gap(segment.path, APART))
+        for share in (*(largest * np.array(SHARES)), 0.0):
+            path = segment.path + ramp * share * change
+            if arms.gap(path, kept) >= kept:
+                break
         alone = sum(piece not in self.placed for piece in self.gripped.values()) == 1  # recoveries know of one carried piece
         if alone and (1.0 - share) * np.linalg.norm(turn) > np.deg2rad(TURNED_DEG):
             return "turned"
-        ramp = np.clip(np.linspace(0.0, 1.0 / BEND, len(segment.path)), 0.0, 1.0)[:, None]
-        path = segment.path + ramp * share * change
         return replace(segment, path=readonly(joined(path, self.executor.world.measured_joints()[segment.arm])))
 
     def _misplaced(self, segment: Segment, seen: Array) -> tuple[Array, Array]:

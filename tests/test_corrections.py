@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from soma_bullet.assembly.file import load_assembly
-from soma_bullet.executive import DOUBT, GONE_MM, LOOKS, ExecutionOptions, Executive
+from soma_bullet.executive import DOUBT, GONE_MM, LOOKS, SHARES, ExecutionOptions, Executive
 from soma_bullet.frames import Array, inverse
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.qualities import PlannerOptions
@@ -66,19 +66,24 @@ def _index(executive: Executive, segment: Segment) -> int:
     return next(k for k, s in enumerate(executive.program.segments) if (s.kind, s.piece) == ("place", segment.piece))
 
 
+def corrected(executive: Executive, segment: Segment) -> Segment | str:
+    program = executive.program
+    return executive._corrected(segment, partial(executive._beside, program, _index(executive, segment), set()), DOUBT)
+
+
 NOTHING = np.zeros(3)
 
 
 def test_what_sits_as_planned_is_placed_as_planned() -> None:
     executive, segment = before_placing(NOTHING, NOTHING)
-    assert executive._corrected(segment, DOUBT) is segment
+    assert corrected(executive, segment) is segment
 
 
 @pytest.mark.parametrize("axis", np.eye(3))
 def test_a_small_slip_is_made_up_for(axis: Array) -> None:
     shift, turn = 0.4e-3 * axis, np.deg2rad(0.6) * axis
     executive, segment = before_placing(shift, turn)
-    bent = executive._corrected(segment, DOUBT)
+    bent = corrected(executive, segment)
     assert isinstance(bent, Segment)
     before, after = ends_at_goal(executive, segment, shift, turn), ends_at_goal(executive, bent, shift, turn)
     assert after[0] < 0.25 * before[0] and after[1] < 0.25 * before[1]  # the Jacobian is that of the end, damped
@@ -87,7 +92,7 @@ def test_a_small_slip_is_made_up_for(axis: Array) -> None:
 
 def test_a_piece_that_has_turned_far_is_planned_anew() -> None:
     executive, segment = before_placing(NOTHING, np.deg2rad(np.array((0.0, 25.0, 0.0))))
-    assert executive._corrected(segment, DOUBT) == "turned"
+    assert corrected(executive, segment) == "turned"
 
 
 def test_not_while_the_other_hand_carries_too() -> None:
@@ -95,21 +100,46 @@ def test_not_while_the_other_hand_carries_too() -> None:
     turn = np.deg2rad(np.array((0.0, 25.0, 0.0)))
     executive, segment = before_placing(NOTHING, turn)
     executive.gripped[1 - segment.arm] = executive.plan.order[-1]
-    bent = executive._corrected(segment, DOUBT)
+    bent = corrected(executive, segment)
     assert isinstance(bent, Segment)
     assert ends_at_goal(executive, bent, NOTHING, turn)[1] < ends_at_goal(executive, segment, NOTHING, turn)[1]
 
 
 def test_a_piece_that_is_seen_far_away_is_lost() -> None:
     executive, segment = before_placing(np.array((0.0, 0.0, 1.1 * GONE_MM * 1e-3)), NOTHING)
-    assert executive._corrected(segment, DOUBT) == "lost"
+    assert corrected(executive, segment) == "lost"
 
 
 def test_looks_that_err_are_averaged_and_logged_once() -> None:
     turn = np.deg2rad(np.array((0.0, 1.2, 0.0)))
     executive, segment = before_placing(NOTHING, turn, noise=(0.5, 0.5))
-    bent = executive._corrected(segment, DOUBT)
+    bent = corrected(executive, segment)
     assert isinstance(bent, Segment) and executive.looks == LOOKS
     assert ends_at_goal(executive, bent, NOTHING, turn)[1] < np.deg2rad(0.5)
     (event,) = executive.executor.recorder.events
     assert (event.kind, event.text) == ("looked", f"{LOOKS} times")
+
+
+@pytest.mark.parametrize("most", (1.0, 0.6, 0.3, 0.1))
+def test_no_correction_brings_the_arms_together(most: float) -> None:
+    """Where the whole of it would, a share is made; what then stays decides whether to plan anew."""
+    turn = np.deg2rad(np.array((0.0, 1.2, 0.0)))
+    executive, segment = before_placing(NOTHING, turn)
+    whole = corrected(executive, segment)
+    assert isinstance(whole, Segment)
+    change = whole.path[-1] - segment.path[-1]
+
+    def gap(path: Array, enough: float) -> float:
+        share = np.abs(path[-1] - segment.path[-1]).max() / np.abs(change).max()
+        return enough if share <= most + 1e-9 else 0.5 * enough
+
+    bent = executive._corrected(segment, lambda: SimpleNamespace(gap=gap), DOUBT)  # type: ignore[arg-type, return-value]
+    assert isinstance(bent, Segment)
+    made = np.abs(bent.path[-1] - segment.path[-1]).max() / np.abs(change).max()
+    assert 0.99 * max(s for s in (*SHARES, 0.0) if s <= most) <= made <= most + 1e-9
+
+
+def test_what_cannot_be_made_up_for_beside_the_other_arm_is_planned_anew() -> None:
+    executive, segment = before_placing(NOTHING, np.deg2rad(np.array((0.0, 1.8, 0.0))))
+    near = SimpleNamespace(gap=lambda path, enough: enough if path is segment.path else 0.0)
+    assert executive._corrected(segment, lambda: near, DOUBT) == "turned"  # type: ignore[arg-type, return-value]

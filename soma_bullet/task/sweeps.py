@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from soma_bullet.frames import Array
-from soma_bullet.robot.silhouette import Placed, Silhouette, Track, apart
+from soma_bullet.robot.silhouette import Placed, Silhouette, Track, apart, distance
 from soma_bullet.task.segments import Context, Segment
 from soma_bullet.task.workcell import Workcell
 
@@ -21,6 +21,7 @@ CLEARANCE = 0.015  # [m] kept between two arms that move at the same time
 GHOST_STEP = 0.05  # [m] between the places of the other arm around which a path is planned
 SMALLEST = 0.004  # [m] of motion below which a cell is not divided again, but counts as too near
 BATCH = 32  # cells that are looked at together
+SAMPLES = 16  # along a path, at which `gap` measures
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +47,15 @@ class Sweep:
         silhouette = Silhouette(workcell.collision, arm, float(context.hands.openings[arm]), carried)
         return cls(silhouette, context.hands.qs[arm][None], 0.0)
 
+    @classmethod
+    def standing(cls, workcell: Workcell, arm: int, q: Array, opening: float) -> Sweep:
+        """An arm that stands at joints q (6,) [rad], its hand open by so much [m] and empty."""
+        return cls(Silhouette(workcell.collision, arm, opening), q[None], 0.0)
+
+    def along(self, path: Array) -> Sweep:
+        """The same arm along another path (n, 6)."""
+        return Sweep(self.silhouette, path, self.change)
+
     def part(self, first: int, last: int) -> Sweep:
         """The arm along some samples of its path."""
         return replace(self, path=self.path[first:last])
@@ -62,6 +72,10 @@ class Sweep:
     def track(self) -> Track:
         """The arm at all samples."""
         return self.silhouette.along(self.path)
+
+    def samples(self) -> list[int]:
+        """SAMPLES along the path, its ends among them."""
+        return sorted(set(np.linspace(0, len(self.path) - 1, SAMPLES).round().astype(int).tolist()))
 
     def marks(self) -> list[int]:
         """Samples along the path; between two of them no point moves by more than GHOST_STEP."""
@@ -95,6 +109,12 @@ def meet(first: Sweep, second: Sweep) -> bool:
         halves, which = _halves(taken[left], middles[left], farthest[0][left] >= farthest[1][left])
         cells, pairs = np.vstack([cells, halves]), np.concatenate([pairs, doubted[left][which]])
     return False
+
+
+def gap(first: Sweep, second: Sweep, enough: float) -> float:
+    """Least distance [m] of two arms at SAMPLES along each path, whatever their timing; or a bound on it above `enough`."""
+    ones, twos = ([sweep.at(k) for k in sweep.samples()] for sweep in (first, second))
+    return min(distance(one, two, enough) for one in ones for two in twos)
 
 
 def _reach(arcs: Array, ends: Array, middles: Array) -> Array:

@@ -1,0 +1,70 @@
+"""What may run beside a segment, and how near the arms come: judged by the program's order and by the collision scene."""
+
+from __future__ import annotations
+
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from soma_bullet.robot.collision import Situation
+from soma_bullet.task.beside import Beside, alongside
+from soma_bullet.task.overlap import overlapped
+from soma_bullet.task.segments import Program, contexts
+from soma_bullet.task.sweeps import CLEARANCE
+from soma_bullet.task.workcell import Workcell
+
+
+@pytest.fixture(scope="module")
+def loosened(workcell: Workcell, program: Program) -> Program:
+    return overlapped(workcell, program)
+
+
+def placings(program: Program) -> list[int]:
+    return [k for k, segment in enumerate(program.segments) if segment.kind == "place"]
+
+
+def test_one_at_a_time_nothing_runs_beside_anything(program: Program) -> None:
+    assert not any(alongside(program, k) for k in range(len(program.segments)))
+
+
+def test_what_runs_beside_runs_beside_each_other(loosened: Program) -> None:
+    beside = [alongside(loosened, k) for k in range(len(loosened.segments))]
+    assert any(beside)
+    assert all(k in beside[i] for k in range(len(beside)) for i in beside[k])
+    assert all(loosened.segments[i].arm != loosened.segments[k].arm for k in range(len(beside)) for i in beside[k])
+    assert not any(i in beside[k] for k, needed in enumerate(loosened.after) for i in needed)
+
+
+def test_planned_paths_leave_the_arms_apart(workcell: Workcell, loosened: Program) -> None:
+    for k in placings(loosened):
+        segment = loosened.segments[k]
+        qs = np.array(workcell.robot.home)
+        qs[segment.arm] = segment.path[0]
+        assert Beside(workcell, loosened, k, qs, ()).gap(segment.path, CLEARANCE) > 0.0
+
+
+def test_arms_touch_where_the_scene_says_so(workcell: Workcell, program: Program) -> None:
+    """The other arm leans over somewhere; the scene knows nothing of how the gap is found."""
+    k = placings(program)[0]
+    segment, rng = program.segments[k], np.random.default_rng(3)
+    arm, path = segment.arm, segment.path[[0, len(segment.path) // 2, -1]]
+    openings = next(islice(contexts(workcell, program), k, None))[0].hands.openings
+    scene = workcell.collision.scene(Situation({}, frozenset({0, 1})))
+    seen = {True: 0, False: 0}
+    near = next(s.path[-1] for s in program.segments if (s.kind, s.arm) == ("insert", 1 - arm))
+    for _ in range(80):
+        qs = np.array(workcell.robot.home)
+        qs[arm] = path[0]
+        qs[1 - arm] = near + rng.normal(0.0, 0.5, 6)
+        gap = Beside(workcell, program, k, qs, ()).gap(path, CLEARANCE)
+        touching = False
+        for q in path:
+            both = qs.copy()
+            both[arm] = q
+            met = scene.colliding(workcell.robot.configuration(both, openings))
+            pairs = [(a, b) for a, b, distance in met if distance <= 0.0 and not {a, b} & {"table", "stand"}]
+            touching |= any(a.startswith("left") != b.startswith("left") for a, b in pairs)
+        seen[touching] += 1
+        assert (gap <= 0.0) == touching
+    assert min(seen.values()) >= 5
