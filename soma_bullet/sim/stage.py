@@ -62,9 +62,9 @@ FRICTION_ERP = 0.8  # of what an anchored contact has slid, how much is undone i
 GEAR_ERP = 0.2
 GEAR_FORCE = 1e4  # [N]
 TABLE_FRICTION = 0.5
-# Contacts of a pad, about 2 mm of rubber, which sinks in by some 0.01 mm: those of rigid boxes vanish as soon as rounding parts
-# them, and the other pad then kicks the piece.
-PAD_STIFFNESS, PAD_DAMPING = 5e5, 1e3  # [N/m], [N s/m]
+# Contacts of a piece give way a little: 1 N sinks in by 2 um. Those of rigid boxes vanish as soon as rounding parts them, and
+# the other pad then kicks the piece; what is pinched between rigid bodies gets forces that grow with the solver's iterations.
+STIFFNESS, DAMPING = 5e5, 1e3  # [N/m], [N s/m]
 TORSION = 1e-3  # [m] lever at which a body resists turning about a contact's normal, half of what two have that touch: where
 # faces meet the simulator may list a single corner, on which a piece would spin under the least push
 
@@ -89,6 +89,7 @@ class Stage:
         physics: Physics,
     ):
         self.cell, self.assembly, self.physics = cell, assembly, physics
+        self.roughness: dict[Part, float] = {}  # two that touch have the product of theirs as coefficient of friction
         self.client = p.connect(p.DIRECT)
         with tempfile.TemporaryDirectory() as folder, silenced():
             p.setGravity(0, 0, -physics.gravity, physicsClientId=self.client)
@@ -155,9 +156,6 @@ class Stage:
         for arm, links in zip(self.cell.arms, self.finger_links, strict=True):
             for body, link in links:
                 self._rub(body, link, np.sqrt(arm.hand.pad_friction) * scale, anchor=True)
-                p.changeDynamics(
-                    body, link, contactStiffness=PAD_STIFFNESS, contactDamping=PAD_DAMPING, physicsClientId=self.client
-                )
 
     def _below(self, body: int, link: int) -> list[int]:
         """A link and all that it carries."""
@@ -196,6 +194,7 @@ class Stage:
 
         Against turning about a contact's normal as well, like a soft finger.
         """
+        self.roughness[body, link] = float(coefficient)
         p.changeDynamics(
             body, link, lateralFriction=float(coefficient), spinningFriction=float(TORSION * coefficient), rollingFriction=0.0,
             frictionAnchor=int(anchor), physicsClientId=self.client,
@@ -212,6 +211,7 @@ class Stage:
             position, quat_xyzw = to_quat_xyzw(poses[piece.name] @ T_piece_inertial)
             p.resetBasePositionAndOrientation(body, position, quat_xyzw, physicsClientId=self.client)
             self._rub(body, -1, np.sqrt(piece.friction * self.physics.friction), anchor=True)
+            p.changeDynamics(body, -1, contactStiffness=STIFFNESS, contactDamping=DAMPING, physicsClientId=self.client)
             if self.physics.mass != 1.0:
                 inertia = [self.physics.mass * value for value in info[2]]
                 p.changeDynamics(

@@ -16,7 +16,7 @@ from soma_bullet.robot.cell import Cell, load_cell
 from soma_bullet.robot.kinematics import Robot
 from soma_bullet.sim.quiet import pybullet as p
 from soma_bullet.sim.stage import Physics
-from soma_bullet.sim.world import World
+from soma_bullet.sim.world import SLIPS_EVERY, World
 from tests.blocks import SIDE, assembly, box, cells
 
 STAND = (0.03, 0.03)
@@ -131,6 +131,23 @@ def test_the_factor_on_friction_is_the_factor_on_friction(cell: Cell, factor: fl
     assert (slides(cell, Physics(friction=factor), slope, 0.0).max() < 0.2) == stays
 
 
+@pytest.mark.parametrize(("slope_deg", "slips"), [(20.0, False), (32.0, True)])
+def test_contacts_of_what_slips_form_anew(cell: Cell, monkeypatch: pytest.MonkeyPatch, slope_deg: float, slips: bool) -> None:
+    block = cells([(0, 0, 0), (1, 0, 0)], "block")
+    pose = make_transform(translation=(0.0, 0.25, -block.vertices[:, 2].min() - block.clearance))
+    with running(cell, assembly([block], [(0, 0, 0)]), {"block": pose}) as world:
+        run(world, 0.05)
+        slope, renewed = np.deg2rad(slope_deg), list[int]()
+        p.setGravity(GRAVITY * np.sin(slope), 0.0, -GRAVITY * np.cos(slope), physicsClientId=world.client)
+        renew = p.setCollisionFilterGroupMask
+        spy = lambda body, *args, **named: (renewed.append(body), renew(body, *args, **named))  # noqa: E731
+        monkeypatch.setattr(p, "setCollisionFilterGroupMask", spy)
+        for _ in range(round(2.5 * SLIPS_EVERY / world.physics.dt)):
+            world.step()
+            assert world.contacts()
+    assert renewed == ([world.pieces["block"]] * 2 if slips else [])
+
+
 def test_friction_is_the_geometric_mean_of_two_bodies(cell: Cell) -> None:
     wood = [cells([(0, 0, 0)], "half"), box((SIDE,) * 3, "slippery", friction=0.125)]
     poses = {piece.name: make_transform(translation=(0.1 * k, 0.25, SIDE)) for k, piece in enumerate(wood)}
@@ -220,6 +237,31 @@ def test_the_wrist_feels_what_a_gripped_piece_stands_on(cell: Cell, robot: Robot
         felt = -world.wrist_axes(0) @ (world.wrench(0) - tare)[:3]
     assert more > 1.0
     assert felt[2] == pytest.approx(more, abs=0.1)
+
+
+def test_what_is_pinched_and_pushed_aside_stays(cell: Cell, robot: Robot) -> None:
+    """Between the table and what a hand presses on it with some 5 N and pushes 0.3 mm aside, one corner at its limit."""
+    lower, upper = box((SIDE, SIDE, 2 * SIDE), "lower"), box((SIDE, SIDE, 3 * SIDE), "upper")
+    heights = {"lower": SIDE - lower.clearance, "upper": 3.5 * SIDE - 3 * lower.clearance}
+    poses = {name: make_transform(translation=(-0.1, 0.25, height)) for name, height in heights.items()}
+    over = make_transform(np.diag((1.0, -1.0, -1.0)), (-0.1, 0.25, 4.2 * SIDE))
+    q = robot.inverse(0, over, cell.arms[0].q_home)[0]
+    with running(cell, assembly([lower, upper], [(0, 0, 0), (0, 0, 2.5)]), poses, None, SIDE + 2e-3, q) as world:
+        grip(world)
+        offsets = np.array(((0.0, 0.0, -1e-4), (3e-4, 0.0, -1e-4), (3e-4, 0.0, -5e-5)))
+        way = np.linalg.pinv(robot.jacobian(0, q))[:, :3] @ offsets.T
+        for start, end in ((np.zeros(6), way[:, 0]), (way[:, 0], way[:, 1]), (way[:, 1], way[:, 2])):
+            for k in range(1, 97):
+                world.command_arm(0, q + start + (end - start) * k / 96)
+                world.step()
+        run(world, 0.3)
+        before = world.piece_poses()["lower"]
+        run(world, 2.0)
+        after = world.piece_poses()["lower"]
+        pressed = sum(force for a, b, force, _ in world.contacts() if {world.pieces["lower"], world.pieces["upper"]} == {a[0], b[0]})
+    assert pressed > 3.0
+    assert np.linalg.norm(after[:3, 3] - before[:3, 3]) < 1e-6
+    assert rotation_angle(before[:3, :3], after[:3, :3]) < np.deg2rad(1e-3)
 
 
 def test_a_gripped_piece_that_is_not_pulled_stays(cell: Cell, robot: Robot) -> None:
