@@ -2,33 +2,18 @@
 
 from __future__ import annotations
 
-from functools import cache, partial
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from soma_bullet.assembly.file import load_assembly
 from soma_bullet.executive import DOUBT, GONE_MM, LOOKS, SHARES, ExecutionOptions, Executive
 from soma_bullet.frames import Array, inverse
-from soma_bullet.planner.assembly_plan import AssemblyPlan
-from soma_bullet.planner.qualities import PlannerOptions
-from soma_bullet.planner.store import kept_plan
-from soma_bullet.robot.cell import load_cell
-from soma_bullet.task.feed import FeedOptions, draw_feed
-from soma_bullet.task.program import make_program
-from soma_bullet.task.segments import Program, Segment
-from soma_bullet.task.workcell import Workcell
-
-
-@cache
-def planned() -> tuple[Workcell, AssemblyPlan, Program]:
-    whole, cell = load_assembly("soma3"), load_cell("ur5e_pair")
-    plan = kept_plan(whole, cell.arms[0].hand, PlannerOptions())
-    workcell = Workcell(whole, cell)
-    feed = draw_feed(whole, plan, cell, 0, FeedOptions(poses="preferred"))
-    return workcell, plan, make_program(workcell, plan, feed, 0)
+from soma_bullet.task.feed import FeedOptions
+from soma_bullet.task.segments import Segment
+from tests.soma3 import planned
 
 
 def before_placing(shift: Array, turn: Array, noise: tuple[float, float] = (0.0, 0.0)) -> tuple[Executive, Segment]:

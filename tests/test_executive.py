@@ -7,43 +7,33 @@ from functools import cache
 import numpy as np
 import pytest
 
-from soma_bullet.assembly.file import load_assembly
-from soma_bullet.assembly.model import Assembly
 from soma_bullet.executive import ExecutionOptions, Executive
-from soma_bullet.planner.assembly_plan import AssemblyPlan
-from soma_bullet.planner.qualities import PlannerOptions
-from soma_bullet.planner.store import kept_plan
-from soma_bullet.robot.cell import load_cell
 from soma_bullet.sim.execute import Executor
 from soma_bullet.sim.guide import Compliance
 from soma_bullet.sim.judge import Tolerance, judge
 from soma_bullet.sim.log import ExecutionLog
 from soma_bullet.sim.stage import Physics
 from soma_bullet.sim.world import World
-from soma_bullet.task.feed import FeedOptions, draw_feed
+from soma_bullet.task.feed import FeedOptions
 from soma_bullet.task.overlap import overlapped
-from soma_bullet.task.program import make_program
 from soma_bullet.task.segments import Program
-from soma_bullet.task.workcell import Workcell
+from tests.soma3 import planned
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("executive")]
 
 
 @cache
-def planned() -> tuple[Assembly, Workcell, AssemblyPlan, Program]:
-    whole, cell = load_assembly("soma3"), load_cell("ur5e_pair")
-    plan = kept_plan(whole, cell.arms[0].hand, PlannerOptions())
-    workcell = Workcell(whole, cell)
-    feed = draw_feed(whole, plan, cell, 0, FeedOptions(poses="preferred"))
-    return whole, workcell, plan, overlapped(workcell, make_program(workcell, plan, feed, 0))
+def loosened() -> Program:
+    workcell, _, program = planned()
+    return overlapped(workcell, program)
 
 
 def executed(moved: str, by: tuple[float, float], options: ExecutionOptions) -> ExecutionLog:
     """An episode in which one piece lies elsewhere [m] than it was seen."""
-    whole, workcell, plan, program = planned()
+    (workcell, plan, _), program = planned(), loosened()
     poses = {name: np.array(program.feed.pose(name)) for name in program.feed.names}
     poses[moved][:2, 3] += by
-    world = World(workcell.cell, whole, program.stand, poses, np.array(workcell.robot.home), Physics())
+    world = World(workcell.cell, workcell.assembly, program.stand, poses, np.array(workcell.robot.home), Physics())
     try:
         executor = Executor(world, program, Compliance())
         ended = Executive(workcell, plan, program, executor, FeedOptions(), options).run()
@@ -56,8 +46,8 @@ def executed(moved: str, by: tuple[float, float], options: ExecutionOptions) -> 
 @pytest.mark.parametrize(("moved", "by"), [("BigL", (0.03, 0.03)), ("Z", (0.0, 0.05))])
 def test_a_piece_that_is_not_there_is_looked_for(moved: str, by: tuple[float, float]) -> None:
     log = executed(moved, by, ExecutionOptions())
-    whole, workcell, _, _ = planned()
-    verdict = judge(log, whole, workcell.cell, Tolerance())
+    workcell, _, _ = planned()
+    verdict = judge(log, workcell.assembly, workcell.cell, Tolerance())
     assert verdict.success, verdict.causes
     assert [event.kind for event in log.events][:3] == ["trouble", "looked", "planned anew"]
     assert log.events[0].piece == moved and "lost in grasp" in log.events[0].text
@@ -68,15 +58,15 @@ def test_a_piece_that_is_not_there_is_looked_for(moved: str, by: tuple[float, fl
 def test_without_recovery_it_ends_and_says_why() -> None:
     log = executed("BigL", (0.03, 0.03), ExecutionOptions(recover=False))
     assert log.ended == "BigL lost in grasp"
-    whole, workcell, _, _ = planned()
-    verdict = judge(log, whole, workcell.cell, Tolerance())
+    workcell, _, _ = planned()
+    verdict = judge(log, workcell.assembly, workcell.cell, Tolerance())
     assert not verdict.success and verdict.causes[0] == "BigL lost in grasp"
     assert log.segments[-1].kind == "final"
 
 
 def test_arms_take_turns_or_not() -> None:
     """While one arm inserts, the other fetches; their segments overlap in time."""
-    _, _, _, program = planned()
+    program = loosened()
     log = executed("Z", (0.0, 0.0), ExecutionOptions())
     assert log.ended == "done" and not [event for event in log.events if event.kind == "trouble"]
     spans = {arm: [(s.start, s.end) for s in log.segments if s.arm == arm] for arm in log.arm_names}
