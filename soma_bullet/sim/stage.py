@@ -62,9 +62,10 @@ FRICTION_ERP = 0.8  # of what an anchored contact has slid, how much is undone i
 GEAR_ERP = 0.2
 GEAR_FORCE = 1e4  # [N]
 TABLE_FRICTION = 0.5
-# Contacts of a piece give way a little: 1 N sinks in by 2 um. Those of rigid boxes vanish as soon as rounding parts them, and
-# the other pad then kicks the piece; what is pinched between rigid bodies gets forces that grow with the solver's iterations.
-STIFFNESS, DAMPING = 5e5, 1e3  # [N/m], [N s/m]
+# Bodies give way a little where they touch: 1 N sinks in by 4 um between two that do. Contacts of rigid boxes vanish as soon as
+# rounding parts them, and the other pad then kicks the piece; what is pinched gets forces that grow with the solver's passes.
+# With a quarter of the damping a piece that leans lightly on another bounces for ever, and creeps.
+STIFFNESS, DAMPING = 5e5, 4e3  # [N/m], [N s/m] of one body's contact
 TORSION = 1e-3  # [m] lever at which a body resists turning about a contact's normal, half of what two have that touch: where
 # faces meet the simulator may list a single corner, on which a piece would spin under the least push
 
@@ -155,7 +156,7 @@ class Stage:
         scale = np.sqrt(self.physics.friction)
         for arm, links in zip(self.cell.arms, self.finger_links, strict=True):
             for body, link in links:
-                self._rub(body, link, np.sqrt(arm.hand.pad_friction) * scale, anchor=True)
+                self._surface(body, link, np.sqrt(arm.hand.pad_friction) * scale, anchor=True)
 
     def _below(self, body: int, link: int) -> list[int]:
         """A link and all that it carries."""
@@ -187,17 +188,18 @@ class Stage:
             self.fixtures[name] = p.createMultiBody(
                 0, shape, basePosition=[float(v) for v in centre], physicsClientId=self.client
             )
-            self._rub(self.fixtures[name], -1, np.sqrt(friction * self.physics.friction))
+            self._surface(self.fixtures[name], -1, np.sqrt(friction * self.physics.friction))
 
-    def _rub(self, body: int, link: int, coefficient: float, anchor: bool = False) -> None:
-        """Set friction. Bullet multiplies two bodies' coefficients: with the root of each they meet in the mean.
+    def _surface(self, body: int, link: int, coefficient: float, anchor: bool = False) -> None:
+        """Set friction and softness. Bullet multiplies two bodies' coefficients: with the root of each they meet in the mean.
 
-        Against turning about a contact's normal as well, like a soft finger.
+        They rub against turning about a contact's normal as well, like a soft finger. Two that give way do so one after the
+        other, like springs in series.
         """
         self.roughness[body, link] = float(coefficient)
         p.changeDynamics(
             body, link, lateralFriction=float(coefficient), spinningFriction=float(TORSION * coefficient), rollingFriction=0.0,
-            frictionAnchor=int(anchor), physicsClientId=self.client,
+            frictionAnchor=int(anchor), contactStiffness=STIFFNESS, contactDamping=DAMPING, physicsClientId=self.client,
         )  # fmt: skip
 
     def _load_pieces(self, folder: Path, poses: Mapping[str, Array]) -> None:
@@ -210,8 +212,7 @@ class Stage:
             T_piece_inertial = transform_of(info[3], info[4])
             position, quat_xyzw = to_quat_xyzw(poses[piece.name] @ T_piece_inertial)
             p.resetBasePositionAndOrientation(body, position, quat_xyzw, physicsClientId=self.client)
-            self._rub(body, -1, np.sqrt(piece.friction * self.physics.friction), anchor=True)
-            p.changeDynamics(body, -1, contactStiffness=STIFFNESS, contactDamping=DAMPING, physicsClientId=self.client)
+            self._surface(body, -1, np.sqrt(piece.friction * self.physics.friction), anchor=True)
             if self.physics.mass != 1.0:
                 inertia = [self.physics.mass * value for value in info[2]]
                 p.changeDynamics(

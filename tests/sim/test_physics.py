@@ -240,7 +240,7 @@ def test_the_wrist_feels_what_a_gripped_piece_stands_on(cell: Cell, robot: Robot
 
 
 def test_what_is_pinched_and_pushed_aside_stays(cell: Cell, robot: Robot) -> None:
-    """Between the table and what a hand presses on it with some 5 N and pushes 0.3 mm aside, one corner at its limit."""
+    """Between the table and what a hand presses on it with some 2 N and pushes 0.3 mm aside, one corner at its limit."""
     lower, upper = box((SIDE, SIDE, 2 * SIDE), "lower"), box((SIDE, SIDE, 3 * SIDE), "upper")
     heights = {"lower": SIDE - lower.clearance, "upper": 3.5 * SIDE - 3 * lower.clearance}
     poses = {name: make_transform(translation=(-0.1, 0.25, height)) for name, height in heights.items()}
@@ -259,8 +259,8 @@ def test_what_is_pinched_and_pushed_aside_stays(cell: Cell, robot: Robot) -> Non
         run(world, 2.0)
         after = world.piece_poses()["lower"]
         pressed = sum(force for a, b, force, _ in world.contacts() if {a[0], b[0]} == set(world.pieces.values()))
-    assert pressed > 3.0
-    assert np.linalg.norm(after[:3, 3] - before[:3, 3]) < 1e-6
+    assert pressed > 1.5
+    assert np.linalg.norm(after[:3, 3] - before[:3, 3]) < 5e-6
     assert rotation_angle(before[:3, :3], after[:3, :3]) < np.deg2rad(1e-3)
 
 
