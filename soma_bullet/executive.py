@@ -40,6 +40,7 @@ CERTAIN_MM, CERTAIN_DEG = 0.1, 0.2  # [mm], [deg] smaller differences are not wo
 LOOKS = 16  # at a piece in the hand before it is placed, if perception errs: each errs anew
 DOUBT = 2.0  # standard errors of their mean by which a piece may seem displaced before that counts
 LARGEST_CHANGE = np.array((0.02, 0.02, 0.02, 0.12, 0.12, 0.12))  # [rad] of each joint by a correction; of more it is a share
+UTMOST_CHANGE = 5 * LARGEST_CHANGE  # the same where nothing else is left to do
 TURNED_DEG = 1.5  # [deg] that a correction may leave; a piece that has turned farther in the hand is planned with anew
 SHARES = (1.0, 0.75, 0.5, 0.25)  # of a correction, the first of which leaves the arms apart is made
 APART = 3e-3  # [m] between arms that no correction takes away; where less was planned, that
@@ -239,14 +240,14 @@ class Executive:
         """
         looks = LOOKS if any(self.feed.noise) else 1
         shift, turn = np.mean([self._misplaced(segment, seen[segment.piece]) for seen in self._looks(looks)], axis=0)
-        doubt_mm, doubt_deg = sigmas * np.array(self.feed.noise) / np.sqrt(looks)
-        if sigmas and np.linalg.norm(shift) < (CERTAIN_MM + doubt_mm) * 1e-3:
-            if np.linalg.norm(turn) < np.deg2rad(CERTAIN_DEG + doubt_deg):
-                return segment
+        least_mm, least_deg = np.maximum((CERTAIN_MM, CERTAIN_DEG), sigmas * np.array(self.feed.noise) / np.sqrt(looks))
+        if sigmas and np.linalg.norm(shift) < least_mm * 1e-3 and np.linalg.norm(turn) < np.deg2rad(least_deg):
+            return segment
         if np.linalg.norm(shift) > GONE_MM * 1e-3:
             return "lost"
         change = segment.compliance @ np.concatenate([shift, turn])
-        largest = 1.0 / max(1.0, *(np.abs(change) / LARGEST_CHANGE))
+        alone = sum(piece not in self.placed for piece in self.gripped.values()) == 1  # recoveries know of one carried piece
+        largest = 1.0 / max(1.0, *(np.abs(change) / (LARGEST_CHANGE if alone else UTMOST_CHANGE)))
         ramp = np.clip(np.linspace(0.0, 1.0 / BEND, len(segment.path)), 0.0, 1.0)[:, None]
         arms = beside()
         kept = min(APART, arms.gap(segment.path, APART))
@@ -254,7 +255,6 @@ class Executive:
             path = segment.path + ramp * share * change
             if arms.gap(path, kept) >= kept:
                 break
-        alone = sum(piece not in self.placed for piece in self.gripped.values()) == 1  # recoveries know of one carried piece
         if alone and (1.0 - share) * np.linalg.norm(turn) > np.deg2rad(TURNED_DEG):
             return "turned"
         return replace(segment, path=readonly(joined(path, self.executor.world.measured_joints()[segment.arm])))

@@ -21,7 +21,7 @@ CLEARANCE = 0.015  # [m] kept between two arms that move at the same time
 GHOST_STEP = 0.05  # [m] between the places of the other arm around which a path is planned
 SMALLEST = 0.004  # [m] of motion below which a cell is not divided again, but counts as too near
 BATCH = 32  # cells that are looked at together
-SAMPLES = 16  # along a path, at which `gap` measures
+SAMPLED = 0.005  # [m] of motion between the places at which `gap` measures
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,14 +73,10 @@ class Sweep:
         """The arm at all samples."""
         return self.silhouette.along(self.path)
 
-    def samples(self) -> list[int]:
-        """SAMPLES along the path, its ends among them."""
-        return sorted(set(np.linspace(0, len(self.path) - 1, SAMPLES).round().astype(int).tolist()))
-
-    def marks(self) -> list[int]:
-        """Samples along the path; between two of them no point moves by more than GHOST_STEP."""
+    def marks(self, step: float = GHOST_STEP) -> list[int]:
+        """Samples along the path; between two of them no point moves by much more than `step` [m]."""
         arc = self.track.arcs.max(axis=1)
-        marks = np.searchsorted(arc, np.arange(0.0, arc[-1] + GHOST_STEP, GHOST_STEP))
+        marks = np.searchsorted(arc, np.arange(0.0, arc[-1] + step, step))
         return sorted(set(np.minimum(marks, len(self.path) - 1).tolist()))
 
 
@@ -112,8 +108,8 @@ def meet(first: Sweep, second: Sweep) -> bool:
 
 
 def gap(first: Sweep, second: Sweep, enough: float) -> float:
-    """Least distance [m] of two arms at SAMPLES along each path, whatever their timing; or a bound on it above `enough`."""
-    ones, twos = ([sweep.at(k) for k in sweep.samples()] for sweep in (first, second))
+    """Least distance [m] of two arms, SAMPLED along their paths, whatever their timing; or a bound on it above `enough`."""
+    ones, twos = ([sweep.at(k) for k in sweep.marks(SAMPLED)] for sweep in (first, second))
     return min(distance(one, two, enough) for one in ones for two in twos)
 
 
