@@ -212,12 +212,12 @@ def table(summary: dict[str, Any], arguments: Arguments) -> Table:
     from rich.table import Table
 
     rows = Table(title=_title(summary, arguments), title_justify="left")
-    for heading in ("", "median", "p95", "largest", "of"):
+    for heading in ("", "mean", "median", "p95", "largest", "of"):
         rows.add_column(heading, justify="left" if not heading else "right")
     names = {
         "error_mm": "error of a piece [mm]", "error_deg": "error of a piece [deg]", "slip_mm": "slip in a grasp [mm]",
         "slip_deg": "slip in a grasp [deg]", "drift_mm": "drift while held [mm]", "peak_n": "peak force of a placing [N]",
-        "makespan_s": "makespan [s, simulated]",
+        "makespan_s": "makespan [s, simulated]", "saved_percent": "planned makespan saved by working together [%]",
     }  # fmt: skip
     for key, name in names.items():
         rows.add_row(escape(name), *_cells(summary["executed"][key]))
@@ -227,10 +227,10 @@ def table(summary: dict[str, Any], arguments: Arguments) -> Table:
     for cause, count in summary["causes"].items():
         seeds = summary["failed_seeds"][cause]
         listed = ", ".join(map(str, seeds[:8])) + (", ..." if len(seeds) > 8 else "")
-        rows.add_row(f"[red]{cause}[/]", f"seeds {listed}", "", "", str(count))
-    rows.add_row("planned anew", "", "", "", str(summary["recoveries"]))
-    rows.add_row("insertions tried again", "", "", "", str(summary["retries"]))
-    rows.add_row("forbidden contacts in successes", "", "", "", str(summary["forbidden_contacts_in_successes"]))
+        rows.add_row(f"[red]{cause}[/]", f"seeds {listed}", "", "", "", str(count))
+    rows.add_row("planned anew", "", "", "", "", str(summary["recoveries"]))
+    rows.add_row("insertions tried again", "", "", "", "", str(summary["retries"]))
+    rows.add_row("forbidden contacts in successes", "", "", "", "", str(summary["forbidden_contacts_in_successes"]))
     return rows
 
 
@@ -242,8 +242,8 @@ def _title(summary: dict[str, Any], arguments: Arguments) -> str:
 
 def _cells(spread: dict[str, float]) -> list[str]:
     if not spread["count"]:
-        return ["-", "-", "-", "0"]
-    return [*(f"{spread[key]:.3g}" for key in ("median", "p95", "max")), str(spread["count"])]
+        return ["-", "-", "-", "-", "0"]
+    return [*(f"{spread[key]:.3g}" for key in ("mean", "median", "p95", "max")), str(spread["count"])]
 
 
 def draw(summary: dict[str, Any], lines: list[dict[str, Any]], arguments: Arguments, path: Path) -> None:

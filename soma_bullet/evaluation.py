@@ -256,6 +256,7 @@ def _described(report: EpisodeReport, log: ExecutionLog) -> Line:
             "recoveries": kinds["planned anew"],
             "feed_rejected": report.feed_rejected,
             "makespan_s": report.makespan_s,
+            "planned_s": report.planned_s,
             "log_sha256": hashlib.sha256(np.ascontiguousarray(log.poses, "<f8").tobytes()).hexdigest(),
             "wall_s": report.wall_s,
         }
@@ -593,7 +594,10 @@ def _numbers(lines: Sequence[Line]) -> dict[str, Any]:
         name: _spread([member[key] for line in lines for member in line.get(group, ())])
         for name, (group, key) in MEASURED.items()
     }
-    return {**spreads, "makespan_s": _spread([line["makespan_s"] for line in lines if "makespan_s" in line])}
+    planned = [line["planned_s"] for line in lines if "together" in line.get("planned_s", ())]
+    saved = [100.0 * (1.0 - times["together"] / times["one at a time"]) for times in planned]
+    makespans = [line["makespan_s"] for line in lines if "makespan_s" in line]
+    return {**spreads, "makespan_s": _spread(makespans), "saved_percent": _spread(saved)}
 
 
 def _walls(lines: Sequence[Line]) -> dict[str, Any]:
@@ -606,7 +610,8 @@ def _spread(values: Sequence[float]) -> dict[str, float]:
     if not values:
         return {"count": 0}
     median, p95 = np.percentile(values, [50, 95])
-    return _rounded({"count": len(values), "median": float(median), "p95": float(p95), "max": float(max(values))})
+    mean, largest = float(np.mean(values)), float(max(values))
+    return _rounded({"count": len(values), "mean": mean, "median": float(median), "p95": float(p95), "max": largest})
 
 
 # --- once more ---------------------------------------------------------------------------------------------------------

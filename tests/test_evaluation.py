@@ -64,7 +64,9 @@ def canned(seed: int, options: EvaluationOptions) -> Line:
         "pieces": [{"name": "A", "error_mm": numbers[0], "error_deg": numbers[1]}],
         "slips": [{"slip_mm": numbers[2], "slip_deg": 0.1}], "holds": [], "insertions": [{"peak_n": numbers[3]}],
         "forbidden": [], "events": [{"time": 1.0, "kind": "jammed", "piece": "A", "text": ""}], "retries": 1,
-        "recoveries": int(seed == 0), "makespan_s": 20.0 + seed, "log_sha256": f"{seed:064x}", "wall_s": {"execution": 1.0},
+        "recoveries": int(seed == 0), "makespan_s": 20.0 + seed,
+        "planned_s": {"together": 15.0 + seed, "one at a time": 20.0 + seed}, "log_sha256": f"{seed:064x}",
+        "wall_s": {"execution": 1.0},
     }  # fmt: skip
 
 
@@ -375,10 +377,14 @@ def test_the_summary_counts() -> None:
     assert (summary["recoveries"], summary["retries"], summary["recovered_episodes"]) == (1, 6, 4)
     errors = [line["pieces"][0]["error_mm"] for line in lines[:6]]
     assert summary["executed"]["error_mm"] == pytest.approx(
-        {"count": 6, "median": np.median(errors), "p95": np.percentile(errors, 95), "max": max(errors)}, abs=1e-4
+        {
+            "count": 6, "mean": np.mean(errors), "median": np.median(errors), "p95": np.percentile(errors, 95),
+            "max": max(errors),
+        }, abs=1e-4
     )
     assert summary["successful"]["error_mm"]["count"] == 4 and summary["executed"]["drift_mm"] == {"count": 0}
     assert summary["executed"]["makespan_s"]["max"] == 25.0
+    assert summary["executed"]["saved_percent"]["max"] == pytest.approx(100 * 5 / 20, abs=1e-3)
     json.dumps(summary, allow_nan=False)
 
 
