@@ -43,7 +43,7 @@ LARGEST_CHANGE = np.array((0.02, 0.02, 0.02, 0.12, 0.12, 0.12))  # [rad] of each
 UTMOST_CHANGE = 5 * LARGEST_CHANGE  # the same where nothing else is left to do
 TURNED_DEG = 1.5  # [deg] that a correction may leave; a piece that has turned farther in the hand is planned with anew
 SHARES = (1.0, 0.75, 0.5, 0.25)  # of a correction, the first of which leaves the arms apart is made
-APART = 3e-3  # [m] between arms that no correction takes away; where less was planned, that
+APART = 3e-3  # [m] between arms that no correction takes away; where less was planned, half of that
 BEND = 0.3  # of a placing, over which its path is bent to where the piece is seen in the hand
 Progress = Callable[[str, float], None]
 Detour = Generator[Segment, Observation, Observation]
@@ -250,7 +250,8 @@ class Executive:
         largest = 1.0 / max(1.0, *(np.abs(change) / (LARGEST_CHANGE if alone else UTMOST_CHANGE)))
         ramp = np.clip(np.linspace(0.0, 1.0 / BEND, len(segment.path)), 0.0, 1.0)[:, None]
         arms = beside()
-        kept = min(APART, arms.gap(segment.path, APART))
+        planned = arms.gap(segment.path, APART)
+        kept = min(APART, planned / 2 if planned > 0.0 else planned)
         for share in (*(largest * np.array(SHARES)), 0.0):
             path = segment.path + ramp * share * change
             if arms.gap(path, kept) >= kept:

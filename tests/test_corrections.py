@@ -128,3 +128,13 @@ def test_what_cannot_be_made_up_for_beside_the_other_arm_is_planned_anew() -> No
     executive, segment = before_placing(NOTHING, np.deg2rad(np.array((0.0, 1.8, 0.0))))
     near = SimpleNamespace(gap=lambda path, enough: enough if path is segment.path else 0.0)
     assert executive._corrected(segment, lambda: near, DOUBT) == "turned"  # type: ignore[arg-type, return-value]
+
+
+@pytest.mark.parametrize(("planned", "left", "made"), [(1e-3, 0.8e-3, True), (1e-3, 0.4e-3, False), (-1e-3, -1e-3, True)])
+def test_arms_that_were_planned_near_each_other_may_come_half_as_near(planned: float, left: float, made: bool) -> None:
+    """A slip of half a degree that stays for the sake of a tenth of a millimetre would bring down what is built on it."""
+    executive, segment = before_placing(NOTHING, np.deg2rad(np.array((0.0, 0.6, 0.0))))
+    near = SimpleNamespace(gap=lambda path, enough: planned if path is segment.path else left)
+    bent = executive._corrected(segment, lambda: near, DOUBT)  # type: ignore[arg-type, return-value]
+    assert isinstance(bent, Segment)
+    assert np.allclose(bent.path[-1], segment.path[-1]) != made
