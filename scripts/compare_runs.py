@@ -13,7 +13,7 @@ from soma_bullet.cli.common import run_command
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from soma_bullet.comparison import Comparison, Contrast, Extremes, Insertions, Pairs, Rate
+    from soma_bullet.evaluation.compare import Comparison, Contrast, Extremes, Insertions, Pairs, Rate
 
 WIDTH = 110  # [characters] of what is printed where there is no terminal
 INK, QUIET, PALE = "#1f2933", "#8a94a3", "#e4e8ed"  # of the figure
@@ -48,8 +48,8 @@ def main(arguments: list[str] | None = None) -> int:
 def _run(arguments: Arguments) -> int:
     from rich.console import Console
 
-    from soma_bullet.comparison import COMPARISON, compare
     from soma_bullet.errors import InputError
+    from soma_bullet.evaluation.compare import COMPARISON, compare
     from soma_bullet.records import write_json
 
     out, errors = Console(), Console(stderr=True)

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from soma_bullet.evaluation import EvaluationOptions
+    from soma_bullet.evaluation.options import EvaluationOptions
 
 WIDTH = 110  # [characters] of what is printed where there is no terminal
 INK, QUIET, GOOD, BAD = "#1f2933", "#8a94a3", "#2f7d5b", "#b5473c"  # of the figure
@@ -141,8 +141,8 @@ def _words(text: str) -> tuple[str, ...]:
 
 
 def _options(arguments: Arguments) -> EvaluationOptions:
-    from soma_bullet.evaluation import EvaluationOptions, Spread
-    from soma_bullet.executive import ExecutionOptions
+    from soma_bullet.evaluation.options import EvaluationOptions, Spread
+    from soma_bullet.executive.executive import ExecutionOptions
     from soma_bullet.sim.judge import Tolerance
 
     spread = arguments.spread
@@ -166,7 +166,9 @@ def _options(arguments: Arguments) -> EvaluationOptions:
 def _evaluate(arguments: Arguments, out: Console, errors: Console) -> int:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-    from soma_bullet.evaluation import SUMMARY, Watch, evaluate, wilson
+    from soma_bullet.evaluation.evaluate import Watch, evaluate
+    from soma_bullet.evaluation.folder import SUMMARY
+    from soma_bullet.evaluation.summary import wilson
 
     finished: list[dict[str, Any]] = []
     columns = (
@@ -331,7 +333,7 @@ def _say_nothing(axes: Any) -> None:
 
 
 def _replay(arguments: Arguments, errors: Console) -> int:
-    from soma_bullet.evaluation import replay
+    from soma_bullet.evaluation.replay import replay
     from soma_bullet.sim.film import FilmOptions
 
     film = arguments.film

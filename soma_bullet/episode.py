@@ -19,7 +19,7 @@ import numpy as np
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError, NoSolutionError
-from soma_bullet.executive import ExecutionOptions, Executive
+from soma_bullet.executive.executive import ExecutionOptions, Executive
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.qualities import PlannerOptions
 from soma_bullet.planner.store import kept_plan

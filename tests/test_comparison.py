@@ -14,9 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binom
 
-from soma_bullet.comparison import Pairs, Rate, compare, contrast
 from soma_bullet.errors import InputError
-from soma_bullet.evaluation import LINES, EvaluationOptions, Line, _blank
+from soma_bullet.evaluation.compare import Pairs, Rate, compare, contrast
+from soma_bullet.evaluation.folder import LINES
+from soma_bullet.evaluation.line import Line, blank_line
+from soma_bullet.evaluation.options import EvaluationOptions
 
 SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "compare_runs.py"
 
@@ -30,7 +32,7 @@ def line(seed: int, success: bool, went_in: tuple[bool, ...] = (True,), assembly
         }
         for piece, well in zip(("Z", "BigL", "smallL"), went_in, strict=False)
     ]  # fmt: skip
-    blank = _blank(seed, EvaluationOptions(assembly, **options))
+    blank = blank_line(seed, EvaluationOptions(assembly, **options))
     pieces = [{"name": name, "error_mm": 0.1 * (seed + 1)} for name in ("BigL", "smallL", "Z")]
     return {**blank, "success": success, "insertions": insertions, "pieces": pieces, "makespan_s": 40.0 + seed}
 

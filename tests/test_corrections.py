@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from soma_bullet.executive import DOUBT, GONE_MM, LOOKS, SHARES, ExecutionOptions, Executive
+from soma_bullet.executive.correction import GONE_MM, SHARES, Correction
+from soma_bullet.executive.executive import DOUBT, LOOKS, ExecutionOptions, Executive
 from soma_bullet.frames import Array, inverse
 from soma_bullet.task.feed import FeedOptions
 from soma_bullet.task.segments import Segment
@@ -51,7 +52,7 @@ def _index(executive: Executive, segment: Segment) -> int:
     return next(k for k, s in enumerate(executive.program.segments) if (s.kind, s.piece) == ("place", segment.piece))
 
 
-def corrected(executive: Executive, segment: Segment) -> Segment | str:
+def corrected(executive: Executive, segment: Segment) -> Correction:
     program = executive.program
     return executive._corrected(segment, partial(executive._beside, program, _index(executive, segment), set()), DOUBT)
 
@@ -61,15 +62,15 @@ NOTHING = np.zeros(3)
 
 def test_what_sits_as_planned_is_placed_as_planned() -> None:
     executive, segment = before_placing(NOTHING, NOTHING)
-    assert corrected(executive, segment) is segment
+    correction = corrected(executive, segment)
+    assert correction.segment is segment and not correction.fault
 
 
 @pytest.mark.parametrize("axis", np.eye(3))
 def test_a_small_slip_is_made_up_for(axis: Array) -> None:
     shift, turn = 0.4e-3 * axis, np.deg2rad(0.6) * axis
     executive, segment = before_placing(shift, turn)
-    bent = corrected(executive, segment)
-    assert isinstance(bent, Segment)
+    bent = corrected(executive, segment).segment
     before, after = ends_at_goal(executive, segment, shift, turn), ends_at_goal(executive, bent, shift, turn)
     assert after[0] < 0.25 * before[0] and after[1] < 0.25 * before[1]  # the Jacobian is that of the end, damped
     np.testing.assert_array_equal(bent.path[0], segment.path[0])
@@ -77,7 +78,7 @@ def test_a_small_slip_is_made_up_for(axis: Array) -> None:
 
 def test_a_piece_that_has_turned_far_is_planned_anew() -> None:
     executive, segment = before_placing(NOTHING, np.deg2rad(np.array((0.0, 25.0, 0.0))))
-    assert corrected(executive, segment) == "turned"
+    assert corrected(executive, segment).fault == "turned"
 
 
 def test_not_while_the_other_hand_carries_too() -> None:
@@ -85,21 +86,20 @@ def test_not_while_the_other_hand_carries_too() -> None:
     turn = np.deg2rad(np.array((0.0, 25.0, 0.0)))
     executive, segment = before_placing(NOTHING, turn)
     executive.gripped[1 - segment.arm] = executive.plan.order[-1]
-    bent = corrected(executive, segment)
-    assert isinstance(bent, Segment)
+    bent = corrected(executive, segment).segment
     assert ends_at_goal(executive, bent, NOTHING, turn)[1] < ends_at_goal(executive, segment, NOTHING, turn)[1]
 
 
 def test_a_piece_that_is_seen_far_away_is_lost() -> None:
     executive, segment = before_placing(np.array((0.0, 0.0, 1.1 * GONE_MM * 1e-3)), NOTHING)
-    assert corrected(executive, segment) == "lost"
+    assert corrected(executive, segment).fault == "lost"
 
 
 def test_looks_that_err_are_averaged_and_logged_once() -> None:
     turn = np.deg2rad(np.array((0.0, 1.2, 0.0)))
     executive, segment = before_placing(NOTHING, turn, noise=(0.5, 0.5))
-    bent = corrected(executive, segment)
-    assert isinstance(bent, Segment) and executive.looks == LOOKS
+    bent = corrected(executive, segment).segment
+    assert executive.looks == LOOKS
     assert ends_at_goal(executive, bent, NOTHING, turn)[1] < np.deg2rad(0.5)
     (event,) = executive.executor.recorder.events
     assert (event.kind, event.text) == ("looked", f"{LOOKS} times")
@@ -110,24 +110,22 @@ def test_no_correction_brings_the_arms_together(most: float) -> None:
     """Where the whole of it would, a share is made; what then stays decides whether to plan anew."""
     turn = np.deg2rad(np.array((0.0, 1.2, 0.0)))
     executive, segment = before_placing(NOTHING, turn)
-    whole = corrected(executive, segment)
-    assert isinstance(whole, Segment)
+    whole = corrected(executive, segment).segment
     change = whole.path[-1] - segment.path[-1]
 
     def gap(path: Array, enough: float) -> float:
         share = np.abs(path[-1] - segment.path[-1]).max() / np.abs(change).max()
         return enough if share <= most + 1e-9 else 0.5 * enough
 
-    bent = executive._corrected(segment, lambda: SimpleNamespace(gap=gap), DOUBT)  # type: ignore[arg-type, return-value]
-    assert isinstance(bent, Segment)
+    bent = executive._corrected(segment, lambda: SimpleNamespace(gap=gap), DOUBT).segment  # type: ignore[arg-type, return-value]
     made = np.abs(bent.path[-1] - segment.path[-1]).max() / np.abs(change).max()
-    assert 0.99 * max(s for s in (*SHARES, 0.0) if s <= most) <= made <= most + 1e-9
+    assert 0.99 * max(s for s in SHARES if s <= most) <= made <= most + 1e-9
 
 
 def test_what_cannot_be_made_up_for_beside_the_other_arm_is_planned_anew() -> None:
     executive, segment = before_placing(NOTHING, np.deg2rad(np.array((0.0, 1.8, 0.0))))
     near = SimpleNamespace(gap=lambda path, enough: enough if path is segment.path else 0.0)
-    assert executive._corrected(segment, lambda: near, DOUBT) == "turned"  # type: ignore[arg-type, return-value]
+    assert executive._corrected(segment, lambda: near, DOUBT).fault == "turned"  # type: ignore[arg-type, return-value]
 
 
 @pytest.mark.parametrize(("planned", "left", "made"), [(1e-3, 0.8e-3, True), (1e-3, 0.4e-3, False), (-1e-3, -1e-3, True)])
@@ -135,6 +133,5 @@ def test_arms_that_were_planned_near_each_other_may_come_half_as_near(planned: f
     """A slip of half a degree that stays for the sake of a tenth of a millimetre would bring down what is built on it."""
     executive, segment = before_placing(NOTHING, np.deg2rad(np.array((0.0, 0.6, 0.0))))
     near = SimpleNamespace(gap=lambda path, enough: planned if path is segment.path else left)
-    bent = executive._corrected(segment, lambda: near, DOUBT)  # type: ignore[arg-type, return-value]
-    assert isinstance(bent, Segment)
+    bent = executive._corrected(segment, lambda: near, DOUBT).segment  # type: ignore[arg-type, return-value]
     assert np.allclose(bent.path[-1], segment.path[-1]) != made

@@ -19,30 +19,26 @@ import numpy as np
 import pytest
 import trimesh
 
-import soma_bullet.evaluation as evaluation
 from soma_bullet.episode import EpisodeOptions
 from soma_bullet.errors import InputError, NoSolutionError
-from soma_bullet.evaluation import (
+from soma_bullet.evaluation import evaluate as evaluating
+from soma_bullet.evaluation import line as running
+from soma_bullet.evaluation.evaluate import Watch, evaluate
+from soma_bullet.evaluation.folder import LINES, SUMMARY, read_lines, write_lines
+from soma_bullet.evaluation.line import (
     EPISODE_PARTS,
-    LINES,
     PATIENCE,
-    SUMMARY,
-    EvaluationOptions,
     Line,
-    Spread,
-    Watch,
+    blank_line,
     categorise,
-    draw,
-    episode_options,
-    evaluate,
+    crashed_line,
     options_of,
-    read_lines,
-    replay,
     run_line,
-    summarise,
-    wilson,
 )
-from soma_bullet.executive import ExecutionOptions
+from soma_bullet.evaluation.options import EvaluationOptions, Spread, draw, episode_options
+from soma_bullet.evaluation.replay import replay
+from soma_bullet.evaluation.summary import summarise, wilson
+from soma_bullet.executive.executive import ExecutionOptions
 from soma_bullet.sim.judge import Tolerance
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -56,7 +52,7 @@ EVERYTHING = ("friction", "mass", "perception", "feed")
 
 def canned(seed: int, options: EvaluationOptions) -> Line:
     """Every third episode fails."""
-    line = evaluation._blank(seed, options)
+    line = blank_line(seed, options)
     good = seed % 3 != 1
     numbers = np.random.default_rng(seed).random(4).round(4).tolist()
     return line | {
@@ -90,7 +86,7 @@ def leave(options: EvaluationOptions, folder: Path) -> list[Line]:
     """What an evaluation leaves when it has run all its episodes, without workers."""
     folder.mkdir(exist_ok=True)
     lines = [canned(seed, options) for seed in options.seeds]
-    evaluation._write_lines(folder / LINES, dict(zip(options.seeds, lines, strict=True)))
+    write_lines(folder / LINES, dict(zip(options.seeds, lines, strict=True)))
     return lines
 
 
@@ -148,7 +144,7 @@ def ends_with(monkeypatch: pytest.MonkeyPatch, error: Exception) -> Line:
     def run_episode(*_: object, **__: object) -> None:
         raise error
 
-    monkeypatch.setattr(evaluation, "run_episode", run_episode)
+    monkeypatch.setattr(running, "run_episode", run_episode)
     return run_line(0, SOMA3)
 
 
@@ -168,7 +164,7 @@ def test_an_episode_that_goes_on_and_on_is_stopped(monkeypatch: pytest.MonkeyPat
         for _ in range(PATIENCE + 1):
             progress("left: place A", 0.5)
 
-    monkeypatch.setattr(evaluation, "run_episode", run_episode)
+    monkeypatch.setattr(running, "run_episode", run_episode)
     assert (line := run_line(0, SOMA3))["cause"] == "endless" and "left: place A" in line["causes"][0]
 
 
@@ -245,7 +241,7 @@ def test_ray_makes_the_same_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 def test_without_ray_one_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(evaluation.util, "find_spec", lambda name: None)
+    monkeypatch.setattr(evaluating.util, "find_spec", lambda name: None)
     with pytest.raises(InputError, match=r"ray is not installed; `pip install 'soma_bullet\[ray\]'`"):
         evaluate(SOMA3, 2, tmp_path / "out", backend="ray", episode=canned)
     assert not (tmp_path / "out").exists()
@@ -333,9 +329,10 @@ def test_an_interrupted_run_keeps_what_is_done_and_goes_on(tmp_path: Path) -> No
     patched = f"""
 import sys
 sys.path[:0] = [{str(Path(__file__).parent)!r}, {str(SCRIPT.parent)!r}]
-import functools, soma_bullet.evaluation, test_evaluation
+import functools, test_evaluation
+from soma_bullet.evaluation import evaluate as evaluating
 if __name__ == "__main__":
-    soma_bullet.evaluation.evaluate = functools.partial(soma_bullet.evaluation.evaluate, episode=test_evaluation.slow)
+    evaluating.evaluate = functools.partial(evaluating.evaluate, episode=test_evaluation.slow)
     import evaluate
     raise SystemExit(evaluate.main(sys.argv[1:]))
 """
@@ -370,7 +367,7 @@ def test_the_interval_is_wilsons() -> None:
 
 def test_the_summary_counts() -> None:
     lines = [canned(seed, SOMA3) for seed in SOMA3.seeds]
-    lines.append(evaluation._crashed(6, SOMA3, "why"))
+    lines.append(crashed_line(6, SOMA3, "why"))
     summary = summarise(lines)
     assert (summary["episodes"], summary["successes"]) == (7, 4)
     assert summary["causes"] == {"jammed": 2, "crash": 1} and summary["failed_seeds"] == {"crash": [6], "jammed": [1, 4]}
@@ -378,9 +375,13 @@ def test_the_summary_counts() -> None:
     errors = [line["pieces"][0]["error_mm"] for line in lines[:6]]
     assert summary["executed"]["error_mm"] == pytest.approx(
         {
-            "count": 6, "mean": np.mean(errors), "median": np.median(errors), "p95": np.percentile(errors, 95),
+            "count": 6,
+            "mean": np.mean(errors),
+            "median": np.median(errors),
+            "p95": np.percentile(errors, 95),
             "max": max(errors),
-        }, abs=1e-4
+        },
+        abs=1e-4,
     )
     assert summary["successful"]["error_mm"]["count"] == 4 and summary["executed"]["drift_mm"] == {"count": 0}
     assert summary["executed"]["makespan_s"]["max"] == 25.0
@@ -389,7 +390,7 @@ def test_the_summary_counts() -> None:
 
 
 def test_a_summary_of_crashes_alone() -> None:
-    summary = summarise([evaluation._crashed(0, SOMA3, "why")])
+    summary = summarise([crashed_line(0, SOMA3, "why")])
     assert summary["success_rate"] == 0.0 and summary["wall_s"] == {} and summary["executed"]["error_mm"] == {"count": 0}
 
 
@@ -440,7 +441,7 @@ def test_a_whole_command(
     script: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = lambda *arguments, **options: evaluate(*arguments, **options, episode=canned)  # noqa: E731
-    monkeypatch.setattr(evaluation, "evaluate", run)
+    monkeypatch.setattr(evaluating, "evaluate", run)
     assert script.main(["soma3", "--episodes", "6", "--jobs", "1", "--out", str(tmp_path)]) == 0
     written = capsys.readouterr()
     assert "4 of 6 succeeded, 67%" in written.out and "error of a piece [mm]" in written.out and "seeds 1, 4" in written.out

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from soma_bullet.executive import ExecutionOptions, Executive
+from soma_bullet.executive.executive import ExecutionOptions, Executive
 from soma_bullet.sim.execute import Executor
 from soma_bullet.sim.guide import Compliance
 from soma_bullet.sim.judge import Tolerance, judge

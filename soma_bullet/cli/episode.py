@@ -126,7 +126,7 @@ def _run(options: RunArguments) -> int:
     from soma_bullet.assembly.file import load_assembly
     from soma_bullet.episode import EpisodeOptions
     from soma_bullet.episode import run_episode as run
-    from soma_bullet.executive import ExecutionOptions
+    from soma_bullet.executive.executive import ExecutionOptions
     from soma_bullet.planner.qualities import PlannerOptions
     from soma_bullet.report.report import print_report
     from soma_bullet.sim.film import FilmOptions

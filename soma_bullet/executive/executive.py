@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from soma_bullet.errors import NoSolutionError
+from soma_bullet.executive.correction import Correction, correct, displacement
 from soma_bullet.frames import Array, apply, inverse, readonly, rotation_angle
 from soma_bullet.grasp.clearance import OPENING
 from soma_bullet.motion.line import LineError, sample_line
@@ -35,16 +35,8 @@ LARGEST_JUMP = 0.01  # [rad] a path that starts no farther from the measured joi
 AGAIN = 3  # times that a jammed insertion is tried again
 RECOVERIES = 6  # in one episode
 OFF_MM, OFF_DEG = 5.0, 10.0  # [mm], [deg] a piece that is seen farther from its goal has been lost
-GONE_MM = 15.0  # [mm] one that a hand would have to move farther for is not in the hand any more
-CERTAIN_MM, CERTAIN_DEG = 0.1, 0.2  # [mm], [deg] smaller differences are not worth a correction
 LOOKS = 16  # at a piece in the hand before it is placed, if perception errs: each errs anew
 DOUBT = 2.0  # standard errors of their mean by which a piece may seem displaced before that counts
-LARGEST_CHANGE = np.array((0.02, 0.02, 0.02, 0.12, 0.12, 0.12))  # [rad] of each joint by a correction; of more it is a share
-UTMOST_CHANGE = 5 * LARGEST_CHANGE  # the same where nothing else is left to do
-TURNED_DEG = 1.5  # [deg] that a correction may leave; a piece that has turned farther in the hand is planned with anew
-SHARES = (1.0, 0.75, 0.5, 0.25)  # of a correction, the first of which leaves the arms apart is made
-APART = 3e-3  # [m] between arms that no correction takes away; where less was planned, half of that
-BEND = 0.3  # of a placing, over which its path is bent to where the piece is seen in the hand
 Progress = Callable[[str, float], None]
 Detour = Generator[Segment, Observation, Observation]
 
@@ -206,12 +198,11 @@ class Executive:
         if segment.kind != "place" or not self.correct:
             return (yield segment)
         corrected = self._corrected(segment, beside, DOUBT)
-        if isinstance(corrected, Segment):
-            segment = corrected
-        elif self.recover:
+        segment = corrected.segment
+        if corrected.fault and self.recover:
             world = self.executor.world
             left = float(np.linalg.norm(segment.offset))
-            return Observation(corrected, world.measured_joints(), world.openings(), NONE, left)
+            return Observation(corrected.fault, world.measured_joints(), world.openings(), NONE, left)
         seen = yield segment
         for _ in range(AGAIN if self.recover else 0):
             if seen.outcome != "jammed":
@@ -220,10 +211,10 @@ class Executive:
             q = self.executor.world.measured_joints()[segment.arm]
             back = joined(self._reached(segment, seen)[::-1], q)
             yield replace(segment, kind="back_off", path=readonly(back), offset=-segment.offset, guard=0.0)
-            bent = self._corrected(segment, beside)
-            if not isinstance(bent, Segment):
-                return replace(seen, outcome=bent)
-            seen = yield bent
+            corrected = self._corrected(segment, beside)
+            if corrected.fault:
+                return replace(seen, outcome=corrected.fault)
+            seen = yield corrected.segment
         return seen
 
     def _reached(self, segment: Segment, seen: Observation) -> Array:
@@ -232,42 +223,21 @@ class Executive:
         last = round((len(segment.path) - 1) * (1.0 - seen.remaining / max(length, 1e-12)))
         return segment.path[: max(last, 1) + 1]
 
-    def _corrected(self, segment: Segment, beside: Callable[[], Beside], sigmas: float = 0.0) -> Segment | str:
-        """A placing bent to where the piece is seen in the hand; `turned` where joints or the other arm forbid to bend it so
-        far, and it is better to plan anew; `lost` where the piece is not in the hand any more.
+    def _corrected(self, segment: Segment, beside: Callable[[], Beside], sigmas: float = 0.0) -> Correction:
+        """A placing, corrected by what is seen in the hand: the mean of some looks if they err.
 
-        What is seen, the mean of some looks if they err, counts from `sigmas` of its error on.
+        It counts from `sigmas` of their mean's error on; without them, after a jam, all of it does.
         """
         looks = LOOKS if any(self.feed.noise) else 1
-        shift, turn = np.mean([self._misplaced(segment, seen[segment.piece]) for seen in self._looks(looks)], axis=0)
-        least_mm, least_deg = np.maximum((CERTAIN_MM, CERTAIN_DEG), sigmas * np.array(self.feed.noise) / np.sqrt(looks))
-        if sigmas and np.linalg.norm(shift) < least_mm * 1e-3 and np.linalg.norm(turn) < np.deg2rad(least_deg):
-            return segment
-        if np.linalg.norm(shift) > GONE_MM * 1e-3:
-            return "lost"
-        change = segment.compliance @ np.concatenate([shift, turn])
+        seen = [poses[segment.piece] for poses in self._looks(looks)]
+        q = self.executor.world.measured_joints()[segment.arm]
+        off = displacement(self.workcell, segment, q, seen)
+        if sigmas and not off.counts(*(sigmas * np.array(self.feed.noise) / np.sqrt(looks))):
+            return Correction(segment)
+        if off.gone:
+            return Correction(segment, "lost")
         alone = sum(piece not in self.placed for piece in self.gripped.values()) == 1  # recoveries know of one carried piece
-        largest = 1.0 / max(1.0, *(np.abs(change) / (LARGEST_CHANGE if alone else UTMOST_CHANGE)))
-        ramp = np.clip(np.linspace(0.0, 1.0 / BEND, len(segment.path)), 0.0, 1.0)[:, None]
-        arms = beside()
-        planned = arms.gap(segment.path, APART)
-        kept = min(APART, planned / 2 if planned > 0.0 else planned)
-        for share in (*(largest * np.array(SHARES)), 0.0):
-            path = segment.path + ramp * share * change
-            if arms.gap(path, kept) >= kept:
-                break
-        if alone and (1.0 - share) * np.linalg.norm(turn) > np.deg2rad(TURNED_DEG):
-            return "turned"
-        return replace(segment, path=readonly(joined(path, self.executor.world.measured_joints()[segment.arm])))
-
-    def _misplaced(self, segment: Segment, seen: Array) -> tuple[Array, Array]:
-        """How the hand has to end elsewhere (3,) [m], (3,) [rad] for the piece that is seen in it to get to its goal."""
-        robot, arm = self.workcell.robot, segment.arm
-        T_tcp_piece = inverse(robot.tcp(arm, self.executor.world.measured_joints()[arm])) @ seen
-        planned = robot.tcp(arm, segment.path[-1])
-        wanted = self.workcell.settled[segment.piece] @ inverse(T_tcp_piece)
-        turn = Rotation.from_matrix(wanted[:3, :3] @ planned[:3, :3].T).as_rotvec()
-        return wanted[:3, 3] - planned[:3, 3], turn
+        return correct(segment, off, beside(), q, utmost=not alone)
 
     def _after(self, program: Program, k: int, segment: Segment, seen: Observation) -> _Trouble | None:
         """Keep account of what is where; what went wrong, if anything."""

@@ -15,7 +15,9 @@ import numpy as np
 from scipy.stats import binom, binomtest
 
 from soma_bullet.errors import InputError
-from soma_bullet.evaluation import LINES, Line, read_lines, wilson
+from soma_bullet.evaluation.folder import LINES, read_lines
+from soma_bullet.evaluation.line import Line
+from soma_bullet.evaluation.summary import wilson
 
 COMPARISON = "comparison.json"
 CONFIDENCE = 0.95

@@ -1,0 +1,1 @@
+"""How often it works, and which of two works better: many episodes, their lines, their summary, their comparison."""

@@ -1,0 +1,1 @@
+"""The executive: segments are started, watched, corrected, tried again, or planned anew."""
