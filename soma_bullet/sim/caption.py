@@ -115,9 +115,14 @@ def vector(values: ArrayLike) -> str:
 
 
 def narration(log: ExecutionLog, least: float) -> list[tuple[float, str, str]]:
-    """Lines as (from when on [s], words, piece), each on show for `least` [s] if what follows leaves the time for it."""
+    """Lines as (from when on [s], words, piece), each on show for `least` [s] if what follows leaves the time for it.
+
+    That a hand follows what it holds, mostly for the blink of an eye, is said only where it lasts.
+    """
     lines: list[tuple[float, str, str]] = []
     for phase in phases(log):
+        if phase.kind == "follow" and phase.end - phase.start < 0.5 * least:
+            continue  # over before it could be read
         lines.append((phase.start, says(phase), phase.piece))
         failed = [s for s in phase.segments if s.outcome in FAILURES]
         lines += [(s.end, f"{s.arm}: {FAILURES[s.outcome].format(piece=s.piece)}", s.piece) for s in failed]

@@ -42,7 +42,7 @@ class Observation:
     """What a real cell knows after a segment.
 
     Attributes:
-        outcome: see SegmentRecord.
+        outcome: see SegmentRecord; or `turned`, where a placing was not begun since the piece has turned in the hand.
         qs: measured joints (arms, 6) [rad].
         openings: measured distances between the pads (arms,) [m].
         force: on the hand at the end, against its start (3,) [N], in the world.

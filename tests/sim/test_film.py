@@ -150,6 +150,13 @@ def test_words_stay_long_enough_to_be_read(log: ExecutionLog) -> None:
     assert min(late) >= 0.0 and max(late) <= 2.0
 
 
+@pytest.mark.parametrize(("lasts", "said"), [(0.2, False), (0.6, True)])
+def test_what_is_over_at_once_is_not_said(cell: Cell, assembly: Assembly, lasts: float, said: bool) -> None:
+    episode = (*EPISODE[:15], ("follow", 1, "left", "BigL", lasts, ""), *EPISODE[15:])
+    words = [line for _, line, _ in narration(made_log(cell, assembly, episode), 1.0)]
+    assert ("left lets BigL down" in words) is said and "right lets go of Z" in words
+
+
 def test_vectors_are_short() -> None:
     assert vector((0.0, -1e-9, -0.70711)) == "(0, 0, −0.71)" and vector((1.0, 0.5, 0.25)) == "(1, 0.5, 0.25)"
 
