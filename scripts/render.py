@@ -22,7 +22,7 @@ class Arguments:
     log: Annotated[Path, tyro.conf.Positional]
     """The log of an episode: runs/NAME/log.npz."""
     out: Path | None = None
-    """The file to write; beside the log if not given."""
+    """The file to write, .mp4 or .webp; beside the log if not given."""
     still: bool = False
     """A picture of the end instead of a video."""
     assembly: str | None = None
@@ -40,7 +40,7 @@ class Arguments:
     supersampling: int = 3
     """Pictures averaged for one frame: 1 is the fastest; more give smoother edges and softer shadows."""
     quality: int = 20
-    """x264's constant rate factor, 0..51; lower is better and larger."""
+    """x264's constant rate factor, 0..51; lower is better and larger. Of a WebP the same share of its scale."""
     jobs: int = 0
     """Processes; 0 for up to two."""
     closing: str = ""

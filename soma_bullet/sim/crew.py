@@ -1,20 +1,15 @@
-"""Frames from descriptions, on one process or several, and frames into a video file."""
+"""Frames from descriptions, on one process or several."""
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from multiprocessing import get_context
 from multiprocessing.util import Finalize
 from pathlib import Path
-
-import numpy as np
 
 from soma_bullet.errors import InputError
 from soma_bullet.frames import Array, from_quat_xyzw
@@ -127,42 +122,3 @@ def _shoot(shot: Shot) -> tuple[Frame, str, str]:
     if isinstance(studio, InputError):
         raise studio
     return stage.shoot(studio, shot), studio.renderer, studio.reason
-
-
-def write_video(path: Path, frames: Iterable[Frame], fps: float = 25.0, quality: int = 20) -> Path:
-    """Writes frames (h, w, 3), of even size, as H.264 that every player takes; the file appears when it is whole.
-
-    The same frames give the same bytes.
-
-    Args:
-        quality: x264's crf, lower is better.
-
-    Raises:
-        InputError: there is no frame.
-    """
-    import av
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, partial = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=".mp4")
-    os.close(handle)
-    try:
-        stream = None
-        with av.open(partial, "w", options={"movflags": "faststart"}) as container:
-            for picture in frames:
-                if stream is None:
-                    stream = container.add_stream("libx264", rate=Fraction(fps).limit_denominator(1000))
-                    stream.height, stream.width = picture.shape[:2]
-                    stream.pix_fmt = "yuv420p"
-                    # the bytes depend on the threads, and x264's B frames on memory that it never wrote
-                    stream.options = {"crf": str(quality), "preset": "medium", "threads": "2", "bf": "0"}
-                container.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")))
-            if stream is not None:
-                container.mux(stream.encode())
-        if stream is None:
-            raise InputError(str(path), "no frames to write")
-        os.chmod(partial, 0o644)
-        os.replace(partial, path)
-    except BaseException:
-        os.unlink(partial)
-        raise
-    return path

@@ -22,9 +22,10 @@ from soma_bullet.robot.compose import compose_urdf
 from soma_bullet.sim import look
 from soma_bullet.sim.camera import CAMERAS, RENDERERS, Frame, PieceVisual, Sight
 from soma_bullet.sim.caption import Caption, holds, narration
-from soma_bullet.sim.crew import Crew, Shot, Stage, write_video
+from soma_bullet.sim.crew import Crew, Shot, Stage
 from soma_bullet.sim.log import ExecutionLog
 from soma_bullet.sim.shots import HOLD, direct, portrait
+from soma_bullet.sim.video import check_format, write_video
 
 AUTO = "auto"
 STILL = 24  # pictures that are averaged for the still
@@ -106,17 +107,19 @@ def film(
     progress: Callable[[float], None] | None = None,
     closing: str = "",
 ) -> FilmReport:
-    """Renders an episode to an H.264 file, which appears when it is whole.
+    """Renders an episode to an H.264 file, or to an animated WebP; it appears when it is whole.
 
     Args:
         progress: told the fraction that is done.
         closing: the last caption, for instance the verdict.
 
     Raises:
-        InputError: log and assembly do not belong together, or `egl` was insisted on in vain.
+        InputError: log and assembly do not belong together, the file is of no format that can be written, or `egl` was
+            insisted on in vain.
     """
     options, start = options or FilmOptions(), time.monotonic()
     _check(log, assembly)
+    check_format(Path(path))
     with tempfile.TemporaryDirectory(prefix="soma_bullet_film_") as folder:
         shots = storyboard(log, assembly, cell, options, closing)
         crew = Crew(_stage(log, assembly, cell, Path(folder), options), options.processes)

@@ -13,7 +13,6 @@ from soma_bullet.sim import camera as camera_module
 from soma_bullet.sim import look
 from soma_bullet.sim.camera import CAMERAS, Arrow, Camera, PieceVisual, Sight, Studio, _cuts, _jitters
 from soma_bullet.sim.caption import Caption, draw_caption
-from soma_bullet.sim.crew import write_video
 
 SIZE = (320, 180)
 CLOSE = Camera((0.0, 0.0, 0.12), 0.5, 0.0, -20.0)
@@ -165,21 +164,6 @@ def test_a_caption_keeps_the_picture_above_it() -> None:
     assert marked.shape == frame.shape and (frame == 200).all()
     assert (marked[:150] == 200).all() and marked[165:].mean() < 140
     assert marked.max() > 200  # the text
-
-
-def test_a_video_has_all_frames(tmp_path: Path) -> None:
-    import av
-
-    path = write_video(tmp_path / "new" / "film.mp4", (np.full((90, 160, 3), 10 * i, np.uint8) for i in range(12)), fps=12.5)
-    with av.open(str(path)) as container:
-        stream = container.streams.video[0]
-        assert (stream.codec_context.name, stream.pix_fmt) == ("h264", "yuv420p")
-        assert float(stream.average_rate) == 12.5
-        shades = [frame.to_ndarray(format="rgb24").mean() for frame in container.decode(video=0)]
-    np.testing.assert_allclose(shades, np.arange(12) * 10, atol=4)
-    with pytest.raises(InputError, match="no frames"):
-        write_video(tmp_path / "none.mp4", iter(()))
-    assert list(tmp_path.iterdir()) == [path.parent] and list(path.parent.iterdir()) == [path]
 
 
 def test_thinning_keeps_the_shape(tmp_path: Path) -> None:
