@@ -85,7 +85,7 @@ class Executor:
         self._running: dict[int, tuple[Segment, Generator[None, None, Observation]]] = {}
         self._ended: list[tuple[Segment, Observation]] = []
         self._carried: dict[int, float] = {}  # arm -> width of what it holds [m]
-        self._tares: dict[int, Array] = {}  # arm -> force on the hand with what it holds in the air (3,) [N]
+        self._tares: dict[int, Array] = {}  # arm -> load of the hand with what it holds in the air (6,)
 
     # --- running ---------------------------------------------------------------------------------------------------------
 
@@ -193,13 +193,13 @@ class Executor:
 
     def _travel(self, segment: Segment, motion: _Motion) -> Steps:
         if segment.guard and self.compliance is not None and len(segment.compliance):
-            force = yield from self._mean_force(segment.arm)
+            load = yield from self._mean_load(segment.arm)
             if len(segment.path):
-                tare = self._tares[segment.arm] = force
+                tare = self._tares[segment.arm] = load
                 yield from self._guided(segment, motion, self.compliance, tare)
             else:
-                tare = self._tares.get(segment.arm, force)
-                if (tare - force) @ segment.last_way > RESTING:  # it rests on something; pressed on, that would creep away
+                tare = self._tares.get(segment.arm, load)
+                if (tare - load)[:3] @ segment.last_way > RESTING:  # it rests on something; pressed on, that would creep away
                     return
                 yield from self._lowered(segment, motion, self.compliance, tare, np.array(self.world.targets[segment.arm]), 0.0)
             if motion.outcome != "jammed":
@@ -231,13 +231,13 @@ class Executor:
     def _guarded(self, segment: Segment, motion: _Motion) -> Steps:
         """Feed a path; stop where the wrist's force has changed by more than the guard."""
         arm, length = segment.arm, float(np.linalg.norm(segment.offset))
-        tare = yield from self._mean_force(arm)
+        tare = yield from self._mean_load(arm)
         recent: list[Array] = []
         for k, q in enumerate(segment.path[1:], 1):
             self.world.command_arm(arm, q)
             yield
-            recent = [*recent[1 - FILTER :], self.world.pull(arm)]
-            change = np.mean(recent, axis=0) - tare
+            recent = [*recent[1 - FILTER :], self.world.load(arm)]
+            change = (np.mean(recent, axis=0) - tare)[:3]
             force = float(np.linalg.norm(change))
             motion.peak = max(motion.peak, force)
             if force > segment.guard and len(recent) == FILTER:
@@ -258,7 +258,8 @@ class Executor:
             whole = min(int(at), len(path) - 2)
             nominal = path[whole] + (at - whole) * (path[whole + 1] - path[whole])
             fall = FALL * min(1.0, 3.0 * at / (len(path) - 1)) * slanted
-            return nominal + segment.compliance[:, :3] @ (guide.offset + (0.0, 0.0, fall))
+            shift, turn = guide.offset + (0.0, 0.0, fall), guide.twist * along
+            return nominal + segment.compliance[:, :3] @ shift + segment.compliance[:, 3:] @ turn
 
         def left(at: float) -> float:
             return length * _fraction_left(path, at)
@@ -279,7 +280,7 @@ class Executor:
         motion.outcome = "as planned"
         yield from self._feel(
             segment, motion, guide, tare, (fall + segment.beyond) / step,
-            lambda at, g: start + segment.compliance[:, :3] @ (down * at * step + g.offset),
+            lambda at, g: start + segment.compliance[:, :3] @ (down * at * step + g.offset),  # it turns no more
             lambda at: max(fall - at * step, 0.0),
         )  # fmt: skip
 
@@ -289,8 +290,8 @@ class Executor:
         start, back = np.array(world.targets[arm]), 0.0
         recent: list[Array] = []
         while back < JAM / 2:
-            recent = [*recent[1 - FILTER :], world.pull(arm)]
-            if -float((np.mean(recent, axis=0) - tare) @ segment.last_way) < RESTING:
+            recent = [*recent[1 - FILTER :], world.load(arm)]
+            if -float((np.mean(recent, axis=0) - tare)[:3] @ segment.last_way) < RESTING:
                 return
             back += EASING * DT
             world.command_arm(arm, start - segment.compliance[:, :3] @ segment.last_way * back)
@@ -311,7 +312,8 @@ class Executor:
         while at < last:
             speed = 1.0
             if len(recent) == FILTER:
-                motion.force = np.mean(recent, axis=0) - tare
+                load = np.mean(recent, axis=0) - tare
+                motion.force = load[:3]
                 force = float(np.linalg.norm(motion.force))
                 motion.peak = max(motion.peak, force)
                 motion.remaining = left(at)
@@ -319,7 +321,7 @@ class Executor:
                     motion.outcome = "stopped early" if motion.remaining > 0.0 else "as planned"
                     return at
                 near = motion.remaining <= JAM  # it lies on something, or rubs: searching here would only push that aside
-                speed = guide.update(motion.force, DT, motion.remaining, near)
+                speed = guide.update(load, DT, motion.remaining, near)
                 if guide.failed or (near and guide.waited > LEANING):
                     motion.outcome, motion.reason = "jammed" if guide.failed else "stopped early", guide.failed
                     return at
@@ -327,16 +329,16 @@ class Executor:
             at = float(np.clip(at + pace, 0.0, last))
             world.command_arm(arm, place(at, guide))
             yield
-            recent = [*recent[1 - FILTER :], world.pull(arm)]
+            recent = [*recent[1 - FILTER :], world.load(arm)]
         motion.remaining = 0.0
         return at
 
-    def _mean_force(self, arm: int) -> Generator[None, None, Array]:
-        forces = []
+    def _mean_load(self, arm: int) -> Generator[None, None, Array]:
+        loads = []
         for _ in range(round(TARE / DT)):
             yield
-            forces.append(self.world.pull(arm))
-        return np.mean(forces, axis=0)
+            loads.append(self.world.load(arm))
+        return np.mean(loads, axis=0)
 
     def _rest(self, duration: float) -> Steps:
         for _ in range(round(duration / DT)):

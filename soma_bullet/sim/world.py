@@ -174,12 +174,15 @@ class World(Stage):
         torques = lever[:, (1, 2, 0)] * on[:, (2, 0, 1)] - lever[:, (2, 0, 1)] * on[:, (1, 2, 0)]
         return -(np.array((on.sum(0), torques.sum(0))) @ _rotation(states[0][5])).ravel()
 
-    def pull(self, arm: int) -> Array:
-        """Force on the hand (3,) [N] as the wrist feels it, weight included, in the axes of the world.
+    def load(self, arm: int) -> Array:
+        """Force on the hand [N], and torque about its centre between the pads [N m], as the wrist feels them (6,).
 
-        There weight stays the same when the hand turns.
+        Weight is included. In the axes of the world its force stays the same when the hand turns.
         """
-        return -self.wrist_axes(arm) @ self.wrench(arm)[:3]
+        wrench, axes = self.wrench(arm), self.wrist_axes(arm)
+        force = -axes @ wrench[:3]
+        lever = np.array(p.getLinkState(self.robots[arm], self.wrists[arm], physicsClientId=self.client)[4])
+        return np.concatenate([force, -axes @ wrench[3:] + np.cross(lever - self.tcp_place(arm)[:3], force)])
 
     def wrist_axes(self, arm: int) -> Array:
         """Axes (3, 3) of a hand's mount frame in the world."""

@@ -201,7 +201,7 @@ def test_the_wrist_feels_what_pulls_at_a_gripped_piece(cell: Cell, robot: Robot,
         grip(world)
         p.setGravity(0, 0, -GRAVITY, physicsClientId=world.client)
         run(world, 0.3)
-        tare = world.wrench(0)
+        tare, load = world.wrench(0), world.load(0)
         for sign in (1.0, -1.0):
             for _ in range(60):
                 place = world.piece_poses()["block"][:3, 3]
@@ -212,6 +212,9 @@ def test_the_wrist_feels_what_pulls_at_a_gripped_piece(cell: Cell, robot: Robot,
             arm = place - np.array(p.getLinkState(world.robots[0], world.wrists[0], physicsClientId=world.client)[4])
             np.testing.assert_allclose(-axes @ change[:3], sign * pull, atol=0.05)
             np.testing.assert_allclose(-axes @ change[3:], np.cross(arm, sign * pull), atol=0.02)
+            centre = world.tcp_place(0)[:3]
+            np.testing.assert_allclose(world.load(0) - load, (*sign * pull, *np.cross(place - centre, sign * pull)), atol=0.05)
+            np.testing.assert_allclose((world.load(0) - load)[3:], np.cross(place - centre, sign * pull), atol=0.02)
     weight = GRAVITY * (block.mass + sum(world.hand_masses[0]))
     np.testing.assert_allclose(-axes @ tare[:3], (0.0, 0.0, -weight), atol=0.05)
 
