@@ -218,7 +218,7 @@ def test_what_rests_on_something_is_not_pressed(over: Executor, robot: Robot) ->
     lowering = line(robot, over.world.cell, over.world.targets[0], np.array((0, 0, -0.02)), "place", GUARD, 0.010)
     stiffness = readonly(np.linalg.pinv(robot.jacobian(0, lowering.path[-1])))
     over.run(replace(lowering, compliance=stiffness, beyond=BEYOND))
-    over._tares[0] = over._tares[0] - (0.0, 0.0, 2 * RESTING)  # something leans on it from below
+    over._tares[0] = over._tares[0] - (0.0, 0.0, 2 * RESTING, 0.0, 0.0, 0.0)  # something leans on it from below
     held = over.world.targets.copy()
     seen = over.run(replace(wait("follow", FOLLOWING), guard=GUARD, compliance=stiffness, beyond=BEYOND))
     assert seen.outcome == "as planned" and over.recorder.segments[-1].peak_force == 0.0
