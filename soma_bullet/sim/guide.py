@@ -16,6 +16,7 @@ from soma_bullet.frames import Array, tangents
 
 PROGRESS = 0.1e-3  # [m] deeper than before: what gets so far yields to the force and is led around no more
 PATIENCE = 0.05  # [s] of resistance before a search begins
+BOUNCING = 0.3  # [s] without getting deeper since the first resistance after which it begins where that comes and goes, too
 STALLED = 90.0  # [s] without getting deeper after which it gives up: longer than all searches take
 
 
@@ -35,8 +36,8 @@ class Compliance:
             says nothing about how it should turn. As sideways, at a lever of 20 mm.
         turning: speed at which the hand turns from one search to the next [rad/s].
         most: how far the hand may turn [rad].
-        careful: largest fraction of the planned speed until it is `entry` [m] deeper than where it last met resistance: what
-            comes in over an edge at speed pushes aside what it comes into.
+        careful: largest fraction of the planned speed, in and out, until it is `entry` [m] deeper than where it last met
+            resistance: what comes in over an edge at speed pushes aside what it comes into, and what leaves it at speed bounces.
         limit: force at which the insertion is given up [N].
     """
 
@@ -81,6 +82,7 @@ class Guide:
         self._met = np.inf  # [m] what was left where it last met resistance
         self._rim = -np.inf  # [m] what was left where it first did
         self._stalled = 0.0  # [s] since it last got deeper
+        self._bounced = 0.0  # [s] since it met resistance that it has not got past
         self.waited = 0.0
         self.failed = ""
 
@@ -105,15 +107,18 @@ class Guide:
         self.waited = self.waited + dt if resistance > c.search else 0.0
         if resistance > c.search:
             self._met, self._rim = left, max(self._rim, left)
+        if resistance > c.search or self._bounced:
+            self._bounced += dt
         self._stalled += dt
         if left < self._left - PROGRESS:
-            self._left, self.waited, self._stalled = left, 0.0, 0.0
+            self._left, self.waited, self._stalled, self._bounced = left, 0.0, 0.0, 0.0
             self._stop()
         if self._stalled > STALLED:
             self.failed = "not found"
-        if not near and (self.waited > PATIENCE or (self.searching and resistance > c.search / 2)):
+        again = self.searching or self._bounced > BOUNCING
+        if not near and (self.waited > PATIENCE or (again and resistance > c.search / 2)):
             self._search(dt)
-        else:
+        elif near or not self.searching:  # a search pauses where the resistance does: it may be above the opening
             self._stop()
             size = float(np.linalg.norm(aside))
             if size > c.dead:
@@ -122,7 +127,7 @@ class Guide:
             if not near and left < self._rim - c.inside:
                 self._yield(float(load[3:] @ self.direction), dt)
         fastest = c.careful if left > self._met - c.entry else 1.0
-        return float(np.clip(1.0 - resistance / c.press, -1.0, fastest))
+        return float(np.clip(1.0 - resistance / c.press, -1.0 if near else -fastest, fastest))  # fast, it would bounce
 
     def _yield(self, torque: float, dt: float) -> None:
         """Turn as a torque [N m] about the direction asks."""

@@ -86,14 +86,38 @@ def test_past_the_rim_it_turns_as_it_is_turned(torque: float) -> None:
 
 
 def test_an_opening_that_is_found_is_kept() -> None:
+    """A search pauses where nothing resists, and ends where the hand gets deeper."""
     guide = Guide(DOWN, Compliance())
     for _ in range(700):
-        guide.update(blocked(2.0), DT)
+        guide.update(blocked(2.0), DT, left=8e-3)
     found = guide.offset
     assert guide.searching and found.any()
-    assert guide.update(np.zeros(6), DT) == 1.0
+    assert guide.update(blocked(0.0), DT, left=8e-3) > 0.0
+    assert guide.searching
+    guide.update(blocked(0.0), DT, left=7.8e-3)
     assert not guide.searching
     np.testing.assert_array_equal(guide.offset, found)
+
+
+def test_what_bounces_is_searched_with_too() -> None:
+    """A stiff piece on a stiff rim touches for some hundredths of a second, is withdrawn, and touches again."""
+    guide = Guide(DOWN, Compliance())
+    touching = [k % 48 < 6 for k in range(480)]
+    for touches in touching:
+        guide.update(blocked(3.0 if touches else 0.0), DT, left=8e-3)
+    assert guide.searching and np.linalg.norm(guide.offset) > 0.05e-3
+    light = Guide(DOWN, Compliance())
+    for touches in touching:
+        light.update(blocked(0.4 if touches else 0.0), DT, left=8e-3)
+    assert not light.searching
+
+
+def test_it_backs_off_slowly_from_a_rim() -> None:
+    rules = Compliance()
+    guide = Guide(DOWN, rules)
+    guide.update(blocked(2 * rules.press), DT, left=8e-3)
+    assert guide.update(blocked(9.0), DT, left=8e-3) == -rules.careful
+    assert guide.update(blocked(9.0), DT, left=8e-3, near=True) == -1.0
 
 
 def test_too_much_force_ends_it() -> None:
@@ -103,8 +127,8 @@ def test_too_much_force_ends_it() -> None:
 
 
 def test_what_is_neither_blocked_nor_gets_deeper_ends() -> None:
-    """Resistance that comes and goes starts and stops searches for ever; the hand that only waits for it does as well."""
-    for force in (lambda k: 1.0 if k // 60 % 2 else 0.0, lambda k: 0.4):
+    """Too light to search by, and all there is."""
+    for force in (lambda k: 0.49 if k // 60 % 2 else 0.0, lambda k: 0.4):
         guide = Guide(DOWN, Compliance())
         steps = next(k for k in range(round(120 / DT)) if guide.failed or guide.update(blocked(force(k)), DT, 5e-3) is None)
         assert guide.failed == "not found" and 60.0 < steps * DT < 110.0
