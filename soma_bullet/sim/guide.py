@@ -37,7 +37,7 @@ class Compliance:
         turning: speed at which the hand turns from one search to the next [rad/s].
         most: how far the hand may turn [rad].
         careful: largest fraction of the planned speed, in and out, until it is `entry` [m] deeper than where it last met
-            resistance: what comes in over an edge at speed pushes aside what it comes into, and what leaves it at speed bounces.
+            resistance: what comes in over an edge at speed pushes aside what it comes into; what goes back at speed bounces.
         limit: force at which the insertion is given up [N].
     """
 

@@ -1,0 +1,55 @@
+"""A bar in a slot, which comes turned: it bounces on the rim, finds the slot by searching, and yields to the walls."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import trimesh
+
+from soma_bullet.evaluation.line import run_line
+from soma_bullet.evaluation.options import EvaluationOptions, Spread
+from soma_bullet.executive.executive import ExecutionOptions
+from soma_bullet.sim import guide
+from soma_bullet.sim.judge import Tolerance
+
+SEED = 402  # bar and slot end 2 deg apart, where 1.1 would fit
+LENGTH, WIDTH, DEPTH = 60.0, 14.0, 18.0  # [mm] of the slot
+
+
+def write_bar_and_slot(folder: Path) -> str:
+    """The file of a bar that stands in the slot of a block, 0.3 mm a face."""
+    block = trimesh.creation.box((90.0, 50.0, 30.0))
+    slot = trimesh.creation.box((LENGTH, WIDTH, 2 * DEPTH))
+    slot.apply_translation((0.0, 0.0, 15.0))
+    trimesh.boolean.difference([block, slot]).export(folder / "block.stl")
+    trimesh.creation.box((LENGTH, WIDTH, 45.0)).export(folder / "bar.stl")
+    path = folder / "key.toml"
+    path.write_text("""
+name = "key"
+unit = "mm"
+support = { height = 0.0, friction = 0.5 }
+defaults = { density = 700.0, friction = 0.5, clearance = 0.3 }
+piece = [
+  { name = "block", mesh = "block.stl", goal = { position = [0, 0, 15], rpy_deg = [0, 0, 0] } },
+  { name = "bar", mesh = "bar.stl", goal = { position = [0, 0, 34.5], rpy_deg = [0, 0, 0] } },
+]
+""")
+    return str(path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("searches", (True, False))
+def test_a_bar_that_comes_turned_goes_in_by_search_and_torque(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, searches: bool
+) -> None:
+    """Without a search where the resistance comes and goes it bounces on the rim until the hand gives up."""
+    if not searches:
+        monkeypatch.setattr(guide, "BOUNCING", float("inf"))
+    options = EvaluationOptions(
+        write_bar_and_slot(tmp_path), 1, SEED, ("perception",), Spread(mm=0.3, deg=2.0, errors="uniform", square=False),
+        execution=ExecutionOptions(recover=False), tolerance=Tolerance(deg=2.5),
+    )  # fmt: skip
+    line = run_line(SEED, options)
+    assert line["success"] is searches, line["causes"]
+    assert searches or line["cause"] == "jammed"
