@@ -22,6 +22,7 @@ TOUCH_FORCE, EASED_FORCE = 5.0, 0.5  # [N] of the first touch, and of the grip b
 RAMP = 0.15  # [s] between those and the full grip force
 EASED_SPEED, EASED_TIME = 0.01, 0.05  # [m/s], [s] of the first opening
 STALE = np.deg2rad(15.0)  # [rad] by which a hand may turn before the contacts of its pads are renewed
+STALE_POINTS = np.deg2rad(7.0)  # [rad] the same where a pad touches in a few points alone, on which the piece rolls
 FILTER = 4  # samples of the force that are averaged
 JAM = 1e-3  # [m] a guarded motion that stops farther from its end is jammed
 LEANING = 0.3  # [s] of resistance so near to its end after which a guided motion has arrived as well
@@ -213,11 +214,12 @@ class Executor:
         """Feed a path; a hand that carries watches that its pads stay apart."""
         world, arm = self.world, segment.arm
         anchored, stale = world.tcp_pose(arm)[:3, :3], list[int]()
+        lasting = STALE if segment.piece not in world.pieces or world.touches_flat(segment.piece) else STALE_POINTS
         ending = len(segment.path) - 1 - WATCH * len(world.finger_links[arm])
         for k, q in enumerate(segment.path[1:], 1):
             if segment.kind == "transfer" and (k % WATCH == 0 or k >= ending):
                 turned = world.tcp_pose(arm)[:3, :3]
-                if not stale and (rotation_angle(anchored, turned) > STALE or k == ending):
+                if not stale and (rotation_angle(anchored, turned) > lasting or k == ending):
                     stale, anchored = list(range(len(world.finger_links[arm]))), turned
                 if stale and (k < ending or (k - ending) % WATCH == 0):
                     world.renew_contacts(arm, stale.pop())

@@ -66,6 +66,7 @@ TABLE_FRICTION = 0.5
 # rounding parts them, and the other pad then kicks the piece; what is pinched gets forces that grow with the solver's passes.
 # With a quarter of the damping a piece that leans lightly on another bounces for ever, and creeps.
 STIFFNESS, DAMPING = 5e5, 4e3  # [N/m], [N s/m] of one body's contact
+POINT_STIFFNESS = 5e6  # [N/m] of a body that is not made of boxes: one point may carry what else four corners share
 TORSION = 1e-3  # [m] lever at which a body resists turning about a contact's normal, half of what two have that touch: where
 # faces meet the simulator may list a single corner, on which a piece would spin under the least push
 
@@ -190,7 +191,11 @@ class Stage:
             )
             self._surface(self.fixtures[name], -1, np.sqrt(friction * self.physics.friction))
 
-    def _surface(self, body: int, link: int, coefficient: float, anchor: bool = False) -> None:
+    def touches_flat(self, piece: str) -> bool:
+        """Whether Bullet finds all corners of its contact with a pad at once, as between boxes; else point after point."""
+        return self.assembly.pieces[self.assembly.index(piece)].decomposition.kind == "boxes"
+
+    def _surface(self, body: int, link: int, coefficient: float, anchor: bool = False, stiffness: float = STIFFNESS) -> None:
         """Set friction and softness. Bullet multiplies two bodies' coefficients: with the root of each they meet in the mean.
 
         They rub against turning about a contact's normal as well, like a soft finger. Two that give way do so one after the
@@ -199,7 +204,7 @@ class Stage:
         self.roughness[body, link] = float(coefficient)
         p.changeDynamics(
             body, link, lateralFriction=float(coefficient), spinningFriction=float(TORSION * coefficient), rollingFriction=0.0,
-            frictionAnchor=int(anchor), contactStiffness=STIFFNESS, contactDamping=DAMPING, physicsClientId=self.client,
+            frictionAnchor=int(anchor), contactStiffness=stiffness, contactDamping=DAMPING, physicsClientId=self.client,
         )  # fmt: skip
 
     def _load_pieces(self, folder: Path, poses: Mapping[str, Array]) -> None:
@@ -212,7 +217,8 @@ class Stage:
             T_piece_inertial = transform_of(info[3], info[4])
             position, quat_xyzw = to_quat_xyzw(poses[piece.name] @ T_piece_inertial)
             p.resetBasePositionAndOrientation(body, position, quat_xyzw, physicsClientId=self.client)
-            self._surface(body, -1, np.sqrt(piece.friction * self.physics.friction), anchor=True)
+            stiffness = STIFFNESS if self.touches_flat(piece.name) else POINT_STIFFNESS
+            self._surface(body, -1, np.sqrt(piece.friction * self.physics.friction), anchor=True, stiffness=stiffness)
             if self.physics.mass != 1.0:
                 inertia = [self.physics.mass * value for value in info[2]]
                 p.changeDynamics(
