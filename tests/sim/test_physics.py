@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+import trimesh
 
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
@@ -14,6 +15,7 @@ from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.frames import Array, apply, from_quat_xyzw, inverse, make_transform, rotation_about, rotation_angle
 from soma_bullet.robot.cell import Cell, load_cell
 from soma_bullet.robot.kinematics import Robot
+from soma_bullet.sim.execute import STALE, STALE_POINTS, WATCH
 from soma_bullet.sim.quiet import pybullet as p
 from soma_bullet.sim.stage import Physics
 from soma_bullet.sim.world import SLIPS_EVERY, World
@@ -371,6 +373,39 @@ def test_contacts_point_along_the_closing_axis_after_the_hand_has_turned(cell: C
         world.step()
         assert stale < 0.95  # what the renewal is for
         assert alignment() > 0.999
+
+
+def test_a_round_piece_tilts_less_where_its_contacts_are_renewed_more_often(cell: Cell, robot: Robot) -> None:
+    """Each pad presses on a point or two of a cylinder, until it has rolled onto others."""
+    mesh = trimesh.creation.cylinder(0.008, 0.05, sections=48)
+    peg = Workpiece("peg", np.array(mesh.vertices), np.array(mesh.faces))
+    across = make_transform(rotation_about((1, 0, 0), np.pi / 2))
+
+    def tilts(every: float) -> float:
+        """[deg] in a hand that turns by 120 deg in a second."""
+        T = robot.tcp(0, cell.arms[0].q_home) @ across
+        with running(cell, assembly([peg], [(0, 0, 0)]), {"peg": T}, Physics(grip_force=GRIP), 18e-3) as world:
+            assert not world.touches_flat("peg")
+            p.setGravity(0, 0, 0, physicsClientId=world.client)
+            grip(world)
+            p.setGravity(0, 0, -GRAVITY, physicsClientId=world.client)
+            run(world, 0.1)
+            start, anchored, stale = inverse(world.tcp_pose(0)) @ world.piece_poses()["peg"], world.tcp_pose(0), list[int]()
+            q = np.array(cell.arms[0].q_home)
+            for k in range(480):
+                q[5] += np.deg2rad(120) / 480
+                world.command_arm(0, q)
+                world.step()
+                if k % WATCH == 0:
+                    here = world.tcp_pose(0)
+                    if not stale and rotation_angle(anchored[:3, :3], here[:3, :3]) > every:
+                        stale, anchored = [0, 1], here
+                    if stale:
+                        world.renew_contacts(0, stale.pop())
+            end = inverse(world.tcp_pose(0)) @ world.piece_poses()["peg"]
+        return float(np.rad2deg(rotation_angle(start[:3, :3], end[:3, :3])))
+
+    assert tilts(STALE_POINTS) < min(0.3, tilts(STALE))
 
 
 def test_the_only_constraints_are_the_gears_of_the_fingers(cell: Cell, robot: Robot) -> None:
