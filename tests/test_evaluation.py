@@ -38,6 +38,7 @@ from soma_bullet.evaluation.line import (
 from soma_bullet.evaluation.options import EvaluationOptions, Spread, draw, episode_options
 from soma_bullet.evaluation.replay import replay
 from soma_bullet.evaluation.summary import summarise, wilson
+from soma_bullet.evaluation.workers import _inherited
 from soma_bullet.executive.executive import ExecutionOptions
 from soma_bullet.sim.judge import Tolerance
 
@@ -341,7 +342,7 @@ if __name__ == "__main__":
         [sys.executable, str(tmp_path / "patched.py"), *command[2:]], stderr=subprocess.PIPE, text=True, start_new_session=True
     )
     file = tmp_path / "out" / LINES
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 120
     while time.monotonic() < deadline and not (file.is_file() and file.read_text().count("\n") == 3):
         time.sleep(0.1)
     os.killpg(process.pid, signal.SIGINT)
@@ -352,6 +353,14 @@ if __name__ == "__main__":
     assert {path.name for path in (tmp_path / "out").iterdir()} == {LINES}
     leave(SOMA3, tmp_path / "whole")
     assert evaluate(SOMA3, 1, tmp_path / "out", episode=canned) == evaluate(SOMA3, 1, tmp_path / "whole", episode=canned)
+
+
+def test_an_interrupt_while_a_worker_starts_is_not_lost() -> None:
+    with pytest.raises(KeyboardInterrupt):
+        with _inherited():
+            signal.raise_signal(signal.SIGINT)
+            assert signal.SIGINT in signal.sigpending()  # a worker that starts now has it blocked
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
 # --- the summary -------------------------------------------------------------------------------------------------------

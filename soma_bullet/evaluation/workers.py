@@ -6,7 +6,6 @@ import logging
 import multiprocessing
 import os
 import signal
-import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
@@ -67,22 +66,23 @@ def _new_worker(episode: Episode, options: EvaluationOptions) -> tuple[Connectio
 
 @contextmanager
 def _inherited() -> Iterator[None]:
-    """What a new process takes over: one thread for linear algebra, and that Ctrl-C is for its parent to deal with."""
+    """What a new process takes over: one thread for linear algebra, and that Ctrl-C is for its parent to deal with.
+
+    Blocked, not ignored: one that comes just now reaches the parent when the block ends.
+    """
     names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
     before = {name: os.environ.get(name) for name in names}
-    main = threading.current_thread() is threading.main_thread()
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if main else None
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     os.environ.update(dict.fromkeys(names, "1"))
     try:
         yield
     finally:
-        if main:
-            signal.signal(signal.SIGINT, handler)
         for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def _work(connection: Connection, episode: Episode, options: EvaluationOptions) -> None:
