@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -34,8 +35,10 @@ class World(Stage):
     ):
         super().__init__(cell, assembly, stand, poses, home, physics)
         self.steps, self._slips_every = 0, round(SLIPS_EVERY / physics.dt)
+        self._efforts = [arm.effort.tolist() for arm in cell.arms]
         self._squeezing = [0.0] * len(cell.arms)  # [N]
         self._forming = [0] * len(cell.arms)  # steps until the contacts of a hand's pads have formed anew
+        self._contact_rows: Sequence[tuple[Any, ...]] | None = None  # of the last step
         for arm, q in enumerate(home):
             self.command_arm(arm, q)
             self.open_hand(arm, 0.0)
@@ -47,8 +50,8 @@ class World(Stage):
         self.targets[arm] = q
         joints = self.arm_joints[arm]
         p.setJointMotorControlArray(
-            self.robots[arm], joints, p.POSITION_CONTROL, targetPositions=[float(angle) for angle in q],
-            targetVelocities=[0.0] * len(joints), forces=self.cell.arms[arm].effort.tolist(),
+            self.robots[arm], joints, p.POSITION_CONTROL, targetPositions=np.asarray(q, float).tolist(),
+            targetVelocities=[0.0] * len(joints), forces=self._efforts[arm],
             positionGains=[1.0] * len(joints), velocityGains=[1.0] * len(joints), physicsClientId=self.client,
         )  # fmt: skip
 
@@ -105,6 +108,7 @@ class World(Stage):
         if self.steps % self._slips_every == 0:
             self._forget_slips()
         p.stepSimulation(physicsClientId=self.client)
+        self._contact_rows = None
         self.steps += 1
         for arm, steps in enumerate(self._forming):
             if steps:
@@ -121,7 +125,7 @@ class World(Stage):
         pieces, pads = set(self.pieces.values()), {part for parts in self.finger_links for part in parts}
         held, most = dict[tuple[int, int], float](), dict[tuple[int, int], float]()
         gripped = set[int]()
-        for row in p.getContactPoints(physicsClientId=self.client):
+        for row in self._contacts_now():
             one, two = (row[1], row[3]), (row[2], row[4])
             pair = (one[0], two[0])
             if one in pads or two in pads:
@@ -162,17 +166,22 @@ class World(Stage):
         states = p.getLinkStates(body, links, physicsClientId=self.client)
         places = [state[0] for state in states]
         forces = [(0.0, 0.0, -self.physics.gravity * mass) for mass in self.hand_masses[arm]]
-        # of all bodies: asked for those of one, pybullet may swap the two and forget the sign of friction
-        for row in p.getContactPoints(physicsClientId=self.client):
-            for sign, part, link, place in ((1.0, row[1], row[3], row[5]), (-1.0, row[2], row[4], row[6])):
-                if part == body and link in links:
-                    axes = zip(row[7], row[11], row[13], strict=True)
-                    places.append(place)
-                    forces.append(tuple(sign * (row[9] * n + row[10] * u + row[12] * v) for n, u, v in axes))
-        mount, on = np.array(states[0][4]), np.array(forces)  # the first link is the mount
-        lever = np.array(places) - mount
-        torques = lever[:, (1, 2, 0)] * on[:, (2, 0, 1)] - lever[:, (2, 0, 1)] * on[:, (1, 2, 0)]
-        return -(np.array((on.sum(0), torques.sum(0))) @ _rotation(states[0][5])).ravel()
+        for row in self._contacts_now():
+            for sign, side in ((1.0, 1), (-1.0, 2)):
+                if row[side] == body and row[side + 2] in links:
+                    places.append(row[side + 4])
+                    normal, first, second = sign * row[9], sign * row[10], sign * row[12]
+                    (nx, ny, nz), (ux, uy, uz), (vx, vy, vz) = row[7], row[11], row[13]
+                    forces.append(
+                        (
+                            normal * nx + first * ux + second * vx,
+                            normal * ny + first * uy + second * vy,
+                            normal * nz + first * uz + second * vz,
+                        )
+                    )
+        on, (x, y, z) = np.array(forces).T, (np.array(places) - states[0][4]).T  # the first link is the mount
+        torques = np.array((y * on[2] - z * on[1], z * on[0] - x * on[2], x * on[1] - y * on[0]))
+        return -(np.array((on.sum(1), torques.sum(1))) @ _rotation(states[0][5])).ravel()
 
     def load(self, arm: int) -> Array:
         """Force on the hand [N], and torque about its centre between the pads [N m], as the wrist feels them (6,).
@@ -187,6 +196,12 @@ class World(Stage):
     def wrist_axes(self, arm: int) -> Array:
         """Axes (3, 3) of a hand's mount frame in the world."""
         return _rotation(p.getLinkState(self.robots[arm], self.wrists[arm], physicsClientId=self.client)[5])
+
+    def _contacts_now(self) -> Sequence[tuple[Any, ...]]:
+        """Contacts of the last step, of all bodies: for one, pybullet may swap the two and forget the sign of friction."""
+        if self._contact_rows is None:
+            self._contact_rows = p.getContactPoints(physicsClientId=self.client)
+        return self._contact_rows
 
     # --- what only the log may know ------------------------------------------------------------------------------------------
 
@@ -231,7 +246,7 @@ class World(Stage):
     def contacts(self) -> list[tuple[tuple[int, int], tuple[int, int], float, float]]:
         """Touching links as ((body, link), (body, link), normal force [N], distance [m]); the forces of a pair are added."""
         found: dict[tuple[tuple[int, int], tuple[int, int]], tuple[float, float]] = {}
-        for row in p.getContactPoints(physicsClientId=self.client):
+        for row in self._contacts_now():
             key = tuple(sorted(((row[1], row[3]), (row[2], row[4]))))
             force, distance = found.get(key, (0.0, np.inf))  # type: ignore[arg-type]
             found[key] = (force + row[9], min(distance, row[8]))  # type: ignore[index]
