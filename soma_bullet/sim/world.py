@@ -246,7 +246,8 @@ class World(Stage):
     def contacts(self) -> list[tuple[tuple[int, int], tuple[int, int], float, float]]:
         """Touching links as ((body, link), (body, link), normal force [N], distance [m]); the forces of a pair are added."""
         found: dict[tuple[tuple[int, int], tuple[int, int]], tuple[float, float]] = {}
-        for row in self._contacts_now():
+        self._contact_rows = p.getContactPoints(physicsClientId=self.client)
+        for row in self._contact_rows:
             key = tuple(sorted(((row[1], row[3]), (row[2], row[4]))))
             force, distance = found.get(key, (0.0, np.inf))  # type: ignore[arg-type]
             found[key] = (force + row[9], min(distance, row[8]))  # type: ignore[index]
