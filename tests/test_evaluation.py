@@ -355,6 +355,23 @@ if __name__ == "__main__":
     assert evaluate(SOMA3, 1, tmp_path / "out", episode=canned) == evaluate(SOMA3, 1, tmp_path / "whole", episode=canned)
 
 
+def masked(seed: int, options: EvaluationOptions) -> Line:
+    return {"seed": seed, "blocked": signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())}
+
+
+def test_workers_leave_an_interrupt_to_their_parent() -> None:
+    """From the first one on, in a process that has started none before."""
+    code = f"""
+import sys
+sys.path[:0] = [{str(Path(__file__).parent)!r}]
+import test_evaluation as t
+from soma_bullet.evaluation.workers import in_processes
+print([line["blocked"] for line in in_processes([0, 1], t.SOMA3, 2, t.masked)])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
+    assert done.stdout.strip() == "[True, True]"
+
+
 def test_an_interrupt_while_a_worker_starts_is_not_lost() -> None:
     with pytest.raises(KeyboardInterrupt):
         with _inherited():
