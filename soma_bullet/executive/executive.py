@@ -121,8 +121,8 @@ class Executive:
             again += 1
             try:
                 start = self._found(program, trouble)
-                seed, noise = self.program.seed + 101 * again, self.program.feed.noise
-                program = recover_program(self.workcell, self.plan, start, seed, noise)
+                seed, feed = self.program.seed + 101 * again, self.program.feed
+                program = recover_program(self.workcell, self.plan, start, seed, feed.noise, feed.square)
                 program = overlapped(self.workcell, program) if self.together else program
             except NoSolutionError as error:
                 self._event("given up", piece, error.summary)

@@ -100,18 +100,23 @@ def make_program(
 
 
 def recover_program(
-    workcell: Workcell, plan: AssemblyPlan, start: Start, seed: int, noise: tuple[float, float] = (0.0, 0.0)
+    workcell: Workcell,
+    plan: AssemblyPlan,
+    start: Start,
+    seed: int,
+    noise: tuple[float, float] = (0.0, 0.0),
+    square: bool = True,
 ) -> Program:
     """The rest of a plan from a state as found: arms and pieces wherever they are, perhaps one of them in a hand.
 
     Args:
-        noise: of the poses as found, as in `Feed`.
+        noise, square: of the poses as found, as in `Feed`.
 
     Raises:
         NoSolutionError: with what blocked, most frequent first.
     """
     names = workcell.assembly.names
-    found = Feed(names, readonly(np.array([start.poses[name] for name in names])), 0, 0, seed, noise)
+    found = Feed(names, readonly(np.array([start.poses[name] for name in names])), 0, 0, seed, noise, square)
     return make_program(workcell, plan, found, seed, start=start)
 
 

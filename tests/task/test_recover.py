@@ -12,7 +12,7 @@ from soma_bullet.frames import make_transform, rotation_about, translate
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.records import read_npz, write_npz
 from soma_bullet.robot.cell import Cell
-from soma_bullet.task.assignments import Carried, PutDown, Start
+from soma_bullet.task.assignments import Carried, PutDown, Square, Start
 from soma_bullet.task.program import recover_program
 from soma_bullet.task.segments import MOTIONS, Context, Program, contexts
 from soma_bullet.task.workcell import Workcell
@@ -66,6 +66,15 @@ def assert_goes_on(workcell: Workcell, program: Program, start: Start) -> None:
 def test_goes_on_from_anywhere(kind: str, piece: str, workcell: Workcell, plan: AssemblyPlan, program: Program) -> None:
     start = after(workcell, program, kind, piece)
     assert_goes_on(workcell, recover_program(workcell, plan, start, 5), start)
+
+
+@pytest.mark.parametrize("square", [True, False])
+def test_pieces_are_squared_as_before(square: bool, workcell: Workcell, plan: AssemblyPlan, program: Program) -> None:
+    """What lies where an inexact camera saw it is squared, unless the episode goes without."""
+    start = after(workcell, program, "transit", "smallL")
+    made = recover_program(workcell, plan, start, 0, noise=(0.5, 0.5), square=square)
+    squared = [r for a in made.schedule.assignments for r in a.regrasps if isinstance(r, Square)]
+    assert bool(squared) == square
 
 
 def test_a_piece_in_the_hand_goes_straight_in(workcell: Workcell, plan: AssemblyPlan, program: Program) -> None:
