@@ -22,7 +22,12 @@ DATA = ("meshes", "robots")  # folders of the top level that install as packages
 LARGEST_FILE = 2_000_000  # [bytes]
 SLOWEST_HELP = 5.0  # [s]; half a second is meant, and a busy machine is not to fail it
 # a body may be put somewhere before time starts, by the module that lays out the world, and in pictures, which have no time
-PLACING = {Path("soma_bullet/sim/stage.py"), Path("soma_bullet/sim/camera.py"), Path("soma_bullet/sim/look.py")}
+PLACING = {
+    Path("soma_bullet/sim/stage.py"),
+    Path("soma_bullet/sim/studio.py"),
+    Path("soma_bullet/sim/sight.py"),
+    Path("soma_bullet/sim/look.py"),
+}
 TELEPORTS = {"resetBasePositionAndOrientation", "resetBaseVelocity", "resetJointState", "resetJointStatesMultiDof"}
 
 

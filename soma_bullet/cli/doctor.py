@@ -337,7 +337,8 @@ def draw_home() -> None:
     """Prints who drew a picture of the cell at home, its contrast, and why it was not EGL if it was not."""
     from soma_bullet.robot.cell import load_cell
     from soma_bullet.robot.compose import compose_urdf
-    from soma_bullet.sim.camera import CAMERAS, Studio
+    from soma_bullet.sim.camera import CAMERAS
+    from soma_bullet.sim.studio import Studio
 
     with tempfile.TemporaryDirectory() as folder:
         urdf = compose_urdf(load_cell(CELL), (0.1, 0.1), Path(folder) / "cell.urdf")

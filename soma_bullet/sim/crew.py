@@ -13,8 +13,9 @@ from pathlib import Path
 
 from soma_bullet.errors import InputError
 from soma_bullet.frames import Array, from_quat_xyzw
-from soma_bullet.sim.camera import Arrow, Camera, Frame, PieceVisual, Studio
+from soma_bullet.sim.camera import Arrow, Camera, Frame, PieceVisual
 from soma_bullet.sim.caption import Caption, draw_caption
+from soma_bullet.sim.studio import Studio
 
 AHEAD = 6  # frames that each process may be ahead of the file
 

@@ -20,11 +20,13 @@ from soma_bullet.frames import Array
 from soma_bullet.robot.cell import Cell
 from soma_bullet.robot.compose import compose_urdf
 from soma_bullet.sim import look
-from soma_bullet.sim.camera import CAMERAS, RENDERERS, Frame, PieceVisual, Sight
+from soma_bullet.sim.camera import CAMERAS, Frame, PieceVisual
 from soma_bullet.sim.caption import Caption, holds, narration
 from soma_bullet.sim.crew import Crew, Shot, Stage
 from soma_bullet.sim.log import ExecutionLog
 from soma_bullet.sim.shots import HOLD, direct, portrait
+from soma_bullet.sim.sight import Sight
+from soma_bullet.sim.studio import RENDERERS
 from soma_bullet.sim.video import check_format, write_video
 
 AUTO = "auto"

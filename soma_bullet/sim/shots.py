@@ -14,9 +14,10 @@ import numpy as np
 
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, apply, tangents
-from soma_bullet.sim.camera import Arrow, Camera, Sight
+from soma_bullet.sim.camera import Arrow, Camera
 from soma_bullet.sim.caption import Phase, holds, phases
 from soma_bullet.sim.log import ExecutionLog
+from soma_bullet.sim.sight import Sight
 
 YAWS, PITCHES = tuple(range(-75, 76, 15)), (-14.0, -21.0, -28.0, -36.0, -46.0)  # [deg]
 Frame = tuple[tuple[float, float], tuple[float, float]]

@@ -11,47 +11,31 @@ from __future__ import annotations
 import itertools
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
 
 from soma_bullet.errors import NoSolutionError
-from soma_bullet.frames import Array, Indices, Mask, inverse, readonly
-from soma_bullet.grasp.clearance import MARGIN, hand_hulls, sweep_hand
+from soma_bullet.frames import Array, Indices, inverse, readonly
 from soma_bullet.planner.assembly_plan import AssemblyPlan
-from soma_bullet.planner.assist import HoldCertificate
 from soma_bullet.task.assignments import Assignment, HandOver, Pick, PutDown, Regrasp, Release, Square, Start, Take
 from soma_bullet.task.feed import Feed
 from soma_bullet.task.fetch import CHAINS, Action, Fetcher, View
-from soma_bullet.task.guarded import guarded_length
-from soma_bullet.task.holding import SMALLEST_MARGIN, Holding, State
-from soma_bullet.task.options import Candidate, OptionFinder
+from soma_bullet.task.holding import State
+from soma_bullet.task.options import Candidate
+from soma_bullet.task.placing import RUN_IN, Placer, Placing
 from soma_bullet.task.spots import comfort, spread
-from soma_bullet.task.tracing import Effort, Grip, Mover, TooManyLines, Tracer
+from soma_bullet.task.tracing import Effort, Grip, TooManyLines, Tracer
 from soma_bullet.task.turns import Option, Turns
-from soma_bullet.task.workcell import Hands, Workcell
+from soma_bullet.task.workcell import Workcell
 
-RUN_IN = 0.012  # [m] of insertion beyond the piece's own size
 LOOKED_AT = 12  # as many candidates as are wanted are looked at before the piece is regrasped instead
 SHALLOW = 8  # candidates a step; no more, and a piece that one grasp can bring is not regrasped
 DEEP = 72  # candidates a step; more, and more goal grasps are regrasped
 REGRASPED, WAYS = 6, 2  # goal grasps that are brought about by regrasps, and ways of each kind for one of them
 PREPARATIONS: tuple[tuple[Action, ...], ...] = (("put down",), ("hand over", "put down"), ("put down", "put down"))
 NEAREST, STRAIGHTEST = 4e-3, np.deg2rad(8.0)  # [m], [rad] a carried piece sits in one of its grasps within this
-
-
-@dataclass(frozen=True, eq=False)
-class _Placing:
-    """The end of a step: how the piece goes in, and what happens afterwards."""
-
-    candidate: Candidate
-    q_goal: Array
-    q_ready: Array
-    certificate: HoldCertificate | None
-    takes: tuple[Take, ...]
-    releases: tuple[Release, ...]
-    after: State
 
 
 class Search:
@@ -74,16 +58,14 @@ class Search:
         self.tracer = Tracer(workcell, self.rejections, effort)
         self.fetcher = Fetcher(self.tracer, plan, feed, excluded)
         self.hand = self.fetcher.hand
-        self.holding = Holding(self.tracer, plan, self.fetcher)
-        self.finder = OptionFinder(workcell, self.fetcher, self._lines_in)
-        self._slow: dict[int, float] = {}
-        self._insertions: dict[tuple[int, int, bytes], list[Array]] = {}
         self.poses = dict(poses)
+        self.first = 0 if start is None else start.step
+        self.placer = Placer(self.tracer, plan, self.fetcher, self.poses, self.first)
+        self.finder = self.placer.finder
         self._begun: State | None = None
         self.takes: tuple[Take, ...] = ()
         self.releases: tuple[Release, ...] = ()
         self._dead: set[tuple[object, ...]] = set()  # states that no further step follows
-        self.first = 0 if start is None else start.step
         self.deepest = self.first  # step that the search has come to
         self.carried, stowed = (None, ()) if prologue else self._in_hand()
         self.prologue = (*stowed, *prologue)
@@ -110,16 +92,16 @@ class Search:
         """Ways to lay the piece of step k down so that a grasp for its goal serves, before the first step."""
         self.tracer.most_lines = 10**9
         view = self._view(k, self._initial())
-        lying = {name: pose for name, pose in self._lying(self.first - 1).items() if name != view.piece}
+        lying = {name: pose for name, pose in self.placer.lying(self.first - 1).items() if name != view.piece}
         view = replace(view, step=-2 - k, lying=lying)
         graph = self.fetcher.graph(view.piece)
-        chosen = np.array(sorted(self._allowed(k)), int)
+        chosen = np.array(sorted(self.placer.allowed(k)), int)
         turns = []
         for arm in view.free:
             cost = comfort(self.robot, arm, self.workcell.settled[view.piece] @ graph.poses[chosen]) - graph.contact[chosen]
             turns.append([Candidate(arm, graph.grip(g)) for g in spread(graph.poses, chosen, cost)])
         candidates = [c for turn in itertools.zip_longest(*turns) for c in turn if c is not None]
-        usable = [c for c in candidates[: LOOKED_AT * REGRASPED] if self._lines_in(k, c)][: 2 * REGRASPED]
+        usable = [c for c in candidates[: LOOKED_AT * REGRASPED] if self.placer.lines_in(k, c)][: 2 * REGRASPED]
         for actions in PREPARATIONS:
             for candidate in usable:
                 ways = self.fetcher.chains(view, candidate.arm, candidate.grip, actions)
@@ -163,7 +145,7 @@ class Search:
         yield from unsquared
         if width <= SHALLOW and view.carrying is None:
             served = self.fetcher.clear_at(view, view.source)
-            if served[sorted(self._allowed(k))].any():
+            if served[sorted(self.placer.allowed(k))].any():
                 return  # other ways to do the steps before come first
         if not self._in_reach(view):
             reason = f"{view.piece} cannot be picked where it is by any arm and grasp"
@@ -180,11 +162,13 @@ class Search:
 
     def _initial(self) -> State:
         if self._begun is None:
-            found = self._as_found()
-            changed = self.holding.settle(self.first - 1, found, self._lying(self.first - 1)) if self.first else ((), (), found)
-            if changed is None:
-                raise NoSolutionError("schedule", "the hands cannot go on from how they hold", self.rejections)
-            self.takes, self.releases, self._begun = changed
+            found, before = self._as_found(), self.first - 1
+            if self.first:
+                changed = self.placer.holding.settle(before, found, self.placer.lying(before))
+                if changed is None:
+                    raise NoSolutionError("schedule", "the hands cannot go on from how they hold", self.rejections)
+                self.takes, self.releases, found = changed
+            self._begun = found
         return self._begun
 
     def _as_found(self) -> State:
@@ -195,7 +179,7 @@ class Search:
         for arm in range(len(self.workcell.cell.arms)):
             if arm not in hands.gripped:
                 hands = hands.with_arm(arm, self.robot.home[arm], 0.0)
-        return State({s.piece: self._placed_pose(s.piece) for s in self.plan.steps[: self.first]}, hands, grip)
+        return State({s.piece: self.placer.placed_pose(s.piece) for s in self.plan.steps[: self.first]}, hands, grip)
 
     def _in_hand(self) -> tuple[tuple[int, Grip] | None, tuple[Regrasp, ...]]:
         """What an arm carries at the start; a piece whose turn is not now is put down first."""
@@ -230,11 +214,7 @@ class Search:
         piece = self.plan.steps[k].piece
         free = tuple(arm for arm in range(len(self.workcell.cell.arms)) if arm not in state.hands.gripped)
         carrying = self.carried if k == self.first else None
-        return View(k, piece, self.poses[piece], carrying, self._lying(k), state.placed, state.hands, free)
-
-    def _lying(self, k: int) -> dict[str, Array]:
-        """The pieces on the table besides that of step k."""
-        return {s.piece: self.poses[s.piece] for s in self.plan.steps[k + 1 :]}
+        return View(k, piece, self.poses[piece], carrying, self.placer.lying(k), state.placed, state.hands, free)
 
     # --- candidates, cheapest first ------------------------------------------------------------------------------------
 
@@ -247,31 +227,13 @@ class Search:
             self.fetcher.picks_alone(view, view.source, arm, grip) for grip in grips for arm in arms
         )
 
-    def _allowed(self, k: int) -> set[int]:
-        """Grasps of the step's piece that serve at the goal and while it is held."""
-        step = self.plan.steps[k]
-        held = [set(hold.grasps) for hold in step.holds if hold.piece == step.piece and not hold.taken]
-        return set(step.grasps).intersection(*held)
-
-    def _chosen(self, k: int, state: State) -> Indices:
-        """Grasps of the step's piece that serve at the goal, while it is held, and beside the hands that hold."""
-        step = self.plan.steps[k]
-        indices = np.array(sorted(self._allowed(k)), int)
-        if not len(indices):
-            self.tracer.reject(step.piece, "no accessible grasp" + (" that may hold it" if step.holds else ""))
-            return indices
-        clear = self._clear_of_holders(k, state, indices)
-        met = int((~clear).sum())
-        self.tracer.reject(step.piece, "hand meets a holding hand or a placed piece on its way in", met)
-        return indices[clear]
-
     @cached_property
     def turns(self) -> Turns:
         """The options of all steps, as if both arms were free at each of them."""
         options = {}
         for k in range(self.first, len(self.plan.steps)):
             view = self._view(k, self._initial())
-            options[k] = self.finder.options(k, view, np.array(sorted(self._allowed(k)), int))
+            options[k] = self.finder.options(k, view, np.array(sorted(self.placer.allowed(k)), int))
         return Turns(self.workcell, options)
 
     def _first_of(self, ranked: Sequence[Option], direct: bool, view: View, indices: Indices) -> list[Candidate]:
@@ -290,7 +252,7 @@ class Search:
         if view.carrying is not None:
             yield from self._carried_candidate(k, view)
             return
-        graph, indices = self.fetcher.graph(view.piece), self._chosen(k, state)
+        graph, indices = self.fetcher.graph(view.piece), self.placer.chosen(k, state)
         clear = self.fetcher.clear_at(view, view.source)[indices]
         touched = int((~clear).sum())
         self.tracer.reject(view.piece, "hand touches the table or a piece at the feed", touched)
@@ -309,7 +271,8 @@ class Search:
         turns = (c for turn in itertools.zip_longest(*groups.values()) for c in turn if c is not None)
         first = self._first_of(ranked, True, view, indices)
         for candidate in _distinct(itertools.chain(first, turns))[: LOOKED_AT * width]:
-            if self._lines_in(k, candidate) and self.fetcher.picks_alone(view, view.source, candidate.arm, candidate.grip):
+            arm, grip = candidate.arm, candidate.grip
+            if self.placer.lines_in(k, candidate) and self.fetcher.picks_alone(view, view.source, arm, grip):
                 yield candidate
                 found += 1
                 if found == width:
@@ -325,22 +288,6 @@ class Search:
         else:
             self.tracer.reject(view.piece, "it sits in the hand as no grasp for the goal has it")
 
-    def _clear_of_holders(self, k: int, state: State, indices: Indices) -> Mask:
-        """Whether the hand, swept along the insertion, keeps clear of placed pieces and of the hands that hold."""
-        step, graph = self.plan.steps[k], self.fetcher.graph(self.plan.steps[k].piece)
-        Ts, widths = self.workcell.goals[step.piece] @ graph.poses[indices], graph.widths[indices]
-        sweep = sweep_hand(self.hand, Ts, widths, way_out=0.0, sweep=-np.array(step.direction) * (step.way + RUN_IN))
-        obstacles = []
-        for name in state.placed:
-            parts = self.workcell.assembly.pieces[self.workcell.assembly.index(name)].parts
-            obstacles += [part.moved(self.workcell.goals[name]) for part in parts]
-        clear = np.asarray(sweep.separation(obstacles) > 0.0)
-        leaving = sweep_hand(self.hand, Ts, widths)
-        for T_world_tcp in state.grip.values():
-            holder = hand_hulls(self.hand, T_world_tcp, 0.03)
-            clear &= (sweep.separation(holder) > MARGIN) & (leaving.separation(holder) > MARGIN)
-        return clear
-
     # --- one step ------------------------------------------------------------------------------------------------------
 
     def _directly(self, k: int, state: State, view: View, candidate: Candidate) -> Iterator[tuple[Assignment, State]]:
@@ -348,13 +295,13 @@ class Search:
         if (k, candidate.arm, candidate.grip.index) in self.excluded:
             return
         for regrasps, pick in self.fetcher.chains(view, candidate.arm, candidate.grip, ()):
-            placing = self._placing(k, state, candidate, pick)
+            placing = self.placer.placing(k, state, candidate, pick)
             if placing is not None:
                 yield self._assignment(k, view, placing, regrasps, pick), placing.after
 
-    def _placings(self, k: int, state: State, count: int, ranked: Sequence[Option]) -> list[_Placing]:
+    def _placings(self, k: int, state: State, count: int, ranked: Sequence[Option]) -> list[Placing]:
         """Ways to put the piece in its place, whatever brings it: the options, then the best contact of every direction."""
-        graph, indices = self.fetcher.graph(self.plan.steps[k].piece), self._chosen(k, state)
+        graph, indices = self.fetcher.graph(self.plan.steps[k].piece), self.placer.chosen(k, state)
         goal, found = self.workcell.settled[self.plan.steps[k].piece], []
         turns = []
         view = self._view(k, state)
@@ -364,73 +311,16 @@ class Search:
         candidates = (c for turn in itertools.zip_longest(*turns) for c in turn if c is not None)
         first = self._first_of(ranked, False, view, indices)
         for candidate in _distinct(itertools.chain(first, candidates))[: LOOKED_AT * count]:
-            if (k, candidate.arm, candidate.grip.index) in self.excluded or not self._lines_in(k, candidate):
+            if (k, candidate.arm, candidate.grip.index) in self.excluded or not self.placer.lines_in(k, candidate):
                 continue
-            placing = self._placing(k, state, candidate)
+            placing = self.placer.placing(k, state, candidate)
             if placing is not None:
                 found.append(placing)
                 if len(found) == count:
                     break
         return found
 
-    def _placing(self, k: int, state: State, candidate: Candidate, pick: Pick | None = None) -> _Placing | None:
-        """Insertion, soon after the pick if there is one, and what follows it; or None with the reason counted."""
-        step, certificate = self.plan.steps[k], None
-        if any(hold.piece == step.piece and not hold.taken for hold in step.holds):
-            certificate = self.holding.certificate(k, step.piece, candidate.grip)
-            if certificate.margin < SMALLEST_MARGIN:
-                self.tracer.reject(step.piece, f"the hold would slip (margin below {SMALLEST_MARGIN:g})")
-                return None
-        hands = state.hands.gripping(candidate.arm, step.piece)
-        lines = self._lines_in(k, candidate) if pick is None else self.finder.nearest(k, candidate, pick.q_lifted)
-        for line in lines:
-            if not self.tracer.free("insertion", self._inserter(k, hands, state.placed, candidate), line):
-                continue
-            changes = self.holding.changes(k, state, candidate.arm, candidate.grip, line[0], self._lying(k))
-            if changes is not None:
-                return _Placing(candidate, line[0], line[-1], certificate, *changes)
-            break
-        return None
-
-    def _lines_in(self, k: int, candidate: Candidate) -> list[Array]:
-        """Insertions of all branches that are free of table, stand, pieces and the arm itself."""
-        memory = (k, candidate.arm, candidate.grip.T_piece_tcp.tobytes())
-        if memory not in self._insertions:
-            step, cell = self.plan.steps[k], self.workcell
-            T_goal = cell.settled[step.piece] @ candidate.grip.T_piece_tcp
-            placed = {s.piece: self._placed_pose(s.piece) for s in self.plan.steps[:k]}
-            mover = self._inserter(k, cell.idle().gripping(candidate.arm, step.piece), placed, candidate, alone=True)
-            solutions = self.robot.inverse(candidate.arm, T_goal, self.robot.home[candidate.arm])
-            if not len(solutions):
-                self.tracer.reject(step.piece, f"{self.robot.arm(candidate.arm).name} arm does not reach the goal")
-            away, length = -np.array(step.direction), step.way + RUN_IN
-            lines = [self.tracer.line("insertion", mover, q, T_goal, away, length) for q in solutions]
-            self._insertions[memory] = [line for line in lines if line is not None]
-        return self._insertions[memory]
-
-    def _guarded(self, k: int) -> float:
-        """How much of an insertion is slow and guarded [m]."""
-        if k not in self._slow:
-            step = self.plan.steps[k]
-            standing = {s.piece: self._placed_pose(s.piece) for s in self.plan.steps[:k]}
-            self._slow[k] = guarded_length(self.workcell, step.piece, np.array(step.direction), step.way + RUN_IN, standing)
-        return self._slow[k]
-
-    def _placed_pose(self, piece: str) -> Array:
-        early = piece in [s.piece for s in self.plan.steps[: self.first]]
-        return self.workcell.stands(piece, self.poses[piece]) if early else self.workcell.settled[piece]
-
-    def _inserter(self, k: int, hands: Hands, placed: dict[str, Array], candidate: Candidate, alone: bool = False) -> Mover:
-        step = self.plan.steps[k]
-        meant = frozenset(pair for pair in self.workcell.touching if step.piece in pair)
-        carried = (step.piece, inverse(candidate.grip.T_piece_tcp))
-        poses = {**placed, **self._lying(k)}
-        scene = self.tracer.scene(("insertion", k), poses, hands, candidate.arm, carried, meant, alone)
-        return Mover(step.piece, candidate.arm, scene, hands, candidate.grip.width)
-
-    def _assignment(
-        self, k: int, view: View, placing: _Placing, regrasps: tuple[Regrasp, ...], pick: Pick | None
-    ) -> Assignment:
+    def _assignment(self, k: int, view: View, placing: Placing, regrasps: tuple[Regrasp, ...], pick: Pick | None) -> Assignment:
         step, candidate = self.plan.steps[k], placing.candidate
         if pick is not None:
             opened, q_before, q_pick, q_lifted = pick.opened, pick.q_before, pick.q_pick, pick.q_lifted
@@ -444,7 +334,7 @@ class Search:
             step=k, piece=step.piece, arm=candidate.arm, grasp=candidate.grip.index, width=candidate.grip.width,
             opened=opened, regrasps=regrasps, in_hand=pick is None, q_before=q_before, q_pick=q_pick, q_lifted=q_lifted,
             q_ready=readonly(placing.q_ready), q_goal=readonly(placing.q_goal), direction=readonly(step.direction),
-            length=step.way + RUN_IN, guarded=self._guarded(k),
+            length=step.way + RUN_IN, guarded=self.placer.guarded(k),
             holds={name: arm for arm, name in placing.after.hands.gripped.items()},
             takes=placing.takes, releases=placing.releases, certificate=placing.certificate,
         )  # fmt: skip

@@ -16,9 +16,10 @@ from soma_bullet.motion.line import sample_line
 from soma_bullet.motion.timing import HandLimits, time_path
 from soma_bullet.robot.cell import Cell, load_cell
 from soma_bullet.robot.kinematics import Robot
-from soma_bullet.sim.execute import FINAL_SETTLE, RESTING, Executor
+from soma_bullet.sim.execute import FINAL_SETTLE, Executor
 from soma_bullet.sim.guide import Compliance
 from soma_bullet.sim.stage import Physics
+from soma_bullet.sim.travel import RESTING
 from soma_bullet.sim.world import World
 from soma_bullet.task.segments import BEYOND, CLOSING, DT, FOLLOWING, GUARD, Kind, Segment
 from tests.blocks import SIDE, assembly, box
@@ -173,7 +174,7 @@ def test_a_piece_that_sits_high_in_the_hand_is_set_down_where_it_touches(
     over: Executor, robot: Robot, high: float, beyond: float
 ) -> None:
     """Lifted by 20 mm and lowered by that less `high`: it goes on until it stands, where it may."""
-    over.compliance = Compliance()
+    over.travel.compliance = Compliance()
     over.run(wait("grasp", CLOSING, 0.0))
     over.run(line(robot, over.world.cell, over.world.targets[0], np.array((0, 0, 0.02)), "lift"))
     lowering = line(robot, over.world.cell, over.world.targets[0], np.array((0, 0, high - 0.02)), "place", GUARD, 0.010)
@@ -190,7 +191,7 @@ def test_a_piece_that_sits_high_in_the_hand_is_set_down_where_it_touches(
 @pytest.mark.parametrize("high", [0.0, 0.6e-3])
 def test_what_is_held_follows_down_until_it_rests(over: Executor, robot: Robot, high: float) -> None:
     """Lifted by `high`, as if what had carried it were gone: it comes down by that, is not pressed on, and stays straight."""
-    over.compliance = Compliance()
+    over.travel.compliance = Compliance()
     over.run(wait("grasp", CLOSING, 0.0))
     if high:
         for way in (0.02, high - 0.02):
@@ -212,13 +213,13 @@ def test_what_is_held_follows_down_until_it_rests(over: Executor, robot: Robot, 
 
 def test_what_rests_on_something_is_not_pressed(over: Executor, robot: Robot) -> None:
     """After a placing the hand knows what the piece weighs in the air: one that rests on something does not go down."""
-    over.compliance = Compliance()
+    over.travel.compliance = Compliance()
     over.run(wait("grasp", CLOSING, 0.0))
     over.run(line(robot, over.world.cell, over.world.targets[0], np.array((0, 0, 0.02)), "lift"))
     lowering = line(robot, over.world.cell, over.world.targets[0], np.array((0, 0, -0.02)), "place", GUARD, 0.010)
     stiffness = readonly(np.linalg.pinv(robot.jacobian(0, lowering.path[-1])))
     over.run(replace(lowering, compliance=stiffness, beyond=BEYOND))
-    over._tares[0] = over._tares[0] - (0.0, 0.0, 2 * RESTING, 0.0, 0.0, 0.0)  # something leans on it from below
+    over.travel.tares[0] = over.travel.tares[0] - (0.0, 0.0, 2 * RESTING, 0.0, 0.0, 0.0)  # something leans on it from below
     held = over.world.targets.copy()
     seen = over.run(replace(wait("follow", FOLLOWING), guard=GUARD, compliance=stiffness, beyond=BEYOND))
     assert seen.outcome == "as planned" and over.recorder.segments[-1].peak_force == 0.0

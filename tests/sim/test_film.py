@@ -17,12 +17,13 @@ from soma_bullet.errors import InputError
 from soma_bullet.frames import make_transform, to_quat_xyzw
 from soma_bullet.records import write_npz
 from soma_bullet.robot.cell import Cell, load_cell
-from soma_bullet.sim.camera import CAMERAS, Studio
+from soma_bullet.sim.camera import CAMERAS
 from soma_bullet.sim.caption import holds, narration, phases, vector
 from soma_bullet.sim.crew import Crew, Shot
 from soma_bullet.sim.film import FilmOptions, _interpolated, _stage, film, frame_times, still, storyboard
 from soma_bullet.sim.log import ExecutionLog, SegmentRecord
 from soma_bullet.sim.shots import HOLD, framed
+from soma_bullet.sim.studio import Studio
 
 ROOT = Path(__file__).resolve().parents[2]
 TINY = FilmOptions((160, 90), fps=10.0, supersampling=1, jobs=1)

@@ -15,9 +15,9 @@ from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.frames import Array, apply, from_quat_xyzw, inverse, make_transform, rotation_about, rotation_angle
 from soma_bullet.robot.cell import Cell, load_cell
 from soma_bullet.robot.kinematics import Robot
-from soma_bullet.sim.execute import STALE, STALE_POINTS, WATCH
 from soma_bullet.sim.quiet import pybullet as p
 from soma_bullet.sim.stage import Physics
+from soma_bullet.sim.travel import STALE, STALE_POINTS, WATCH
 from soma_bullet.sim.world import SLIPS_EVERY, World
 from tests.blocks import SIDE, assembly, box, cells
 

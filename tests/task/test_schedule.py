@@ -156,9 +156,9 @@ def test_a_search_without_success_ends(
     workcell: Workcell, plan: AssemblyPlan, feed: Feed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """After a certain count of lines, the same each time."""
-    from soma_bullet.task import schedule, search
+    from soma_bullet.task import placing, schedule
 
-    monkeypatch.setattr(search.Search, "_placing", lambda self, k, state, candidate: None)
+    monkeypatch.setattr(placing.Placer, "placing", lambda self, k, state, candidate: None)
     monkeypatch.setattr(schedule, "MOST_LINES", 150)
     counts = []
     for _ in range(2):

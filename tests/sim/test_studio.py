@@ -9,10 +9,12 @@ from soma_bullet.errors import InputError
 from soma_bullet.frames import make_transform
 from soma_bullet.robot.cell import load_cell
 from soma_bullet.robot.compose import compose_urdf
-from soma_bullet.sim import camera as camera_module
 from soma_bullet.sim import look
-from soma_bullet.sim.camera import CAMERAS, Arrow, Camera, PieceVisual, Sight, Studio, _cuts, _jitters
+from soma_bullet.sim import studio as studio_module
+from soma_bullet.sim.camera import CAMERAS, Arrow, Camera, PieceVisual
 from soma_bullet.sim.caption import Caption, draw_caption
+from soma_bullet.sim.sight import Sight
+from soma_bullet.sim.studio import Studio, _cuts, _jitters
 
 SIZE = (320, 180)
 CLOSE = Camera((0.0, 0.0, 0.12), 0.5, 0.0, -20.0)
@@ -99,7 +101,7 @@ def test_tiles_join_without_a_seam(urdf: Path, home: dict[str, float], monkeypat
         if one.renderer != "egl":
             pytest.skip(one.reason)
         whole = one.frame(home, {}, CAMERAS["front"]).astype(int)
-    monkeypatch.setattr(camera_module, "_LARGEST", (250, 200))
+    monkeypatch.setattr(studio_module, "_LARGEST", (250, 200))
     with Studio(urdf, [], (640, 360)) as many:
         assert len(many._tiles) == 6
         tiled = many.frame(home, {}, CAMERAS["front"]).astype(int)
