@@ -185,8 +185,9 @@ def run(arguments: Stages, say: Callable[[str], object]) -> dict[str, Any]:
     from soma_bullet.records import package_versions
     from soma_bullet.robot.cell import load_cell
     from soma_bullet.sim.judge import judge
+    from soma_bullet.task.builder import ProgramBuilder
     from soma_bullet.task.feed import draw_feed
-    from soma_bullet.task.program import ProgramBuilder, make_program
+    from soma_bullet.task.program import make_program
     from soma_bullet.task.schedule import Scheduler
     from soma_bullet.task.segments import MOTIONS
     from soma_bullet.task.workcell import Workcell
@@ -528,7 +529,7 @@ def _time_chain(workcell: Any, query: Query) -> Timed:
     from soma_bullet.motion.timing import TimingError
     from soma_bullet.motion.transfer import TransferError
     from soma_bullet.task import motions
-    from soma_bullet.task.program import scene_of
+    from soma_bullet.task.builder import scene_of
 
     robot, segment, context = workcell.robot, query.segment, query.context
     arm, start, goal = segment.arm, context.hands.qs[segment.arm], segment.path[-1]

@@ -13,7 +13,8 @@ from soma_bullet.cli.common import run_command
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from soma_bullet.evaluation.compare import Comparison, Contrast, Extremes, Insertions, Pairs, Rate
+    from soma_bullet.evaluation.compare import Comparison, Insertions
+    from soma_bullet.evaluation.statistics import Contrast, Extremes, Pairs, Rate
 
 WIDTH = 110  # [characters] of what is printed where there is no terminal
 INK, QUIET, PALE = "#1f2933", "#8a94a3", "#e4e8ed"  # of the figure

@@ -168,7 +168,7 @@ def _evaluate(arguments: Arguments, out: Console, errors: Console) -> int:
 
     from soma_bullet.evaluation.evaluate import Watch, evaluate
     from soma_bullet.evaluation.folder import SUMMARY
-    from soma_bullet.evaluation.summary import wilson
+    from soma_bullet.evaluation.statistics import wilson
 
     finished: list[dict[str, Any]] = []
     columns = (

@@ -25,7 +25,8 @@ from soma_bullet.planner.qualities import PlannerOptions
 from soma_bullet.planner.store import kept_plan
 from soma_bullet.records import package_versions, read_json, read_npz, write_json, write_npz
 from soma_bullet.report.report import EpisodeReport
-from soma_bullet.robot.cell import Cell, find_hand, load_cell
+from soma_bullet.robot.cell import find_hand, load_cell
+from soma_bullet.robot.model import Cell
 from soma_bullet.sim.execute import Executor
 from soma_bullet.sim.guide import Compliance
 from soma_bullet.sim.judge import Tolerance, judge

@@ -15,7 +15,8 @@ from blocks import assembly, box
 from soma_bullet.errors import InputError
 from soma_bullet.planner.equilibrium import classify, equilibrium_margin
 from soma_bullet.records import read_json, to_tree
-from soma_bullet.robot.cell import Cell, load_cell
+from soma_bullet.robot.cell import load_cell
+from soma_bullet.robot.model import Cell
 from soma_bullet.sim.standing import stands
 from soma_bullet.validation.comparison import (
     BAND,

@@ -15,10 +15,11 @@ from hypothesis import strategies as st
 from scipy.stats import binom
 
 from soma_bullet.errors import InputError
-from soma_bullet.evaluation.compare import Pairs, Rate, compare, contrast
+from soma_bullet.evaluation.compare import compare
 from soma_bullet.evaluation.folder import LINES
 from soma_bullet.evaluation.line import Line, blank_line
 from soma_bullet.evaluation.options import EvaluationOptions
+from soma_bullet.evaluation.statistics import Pairs, Rate, contrast
 
 SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "compare_runs.py"
 

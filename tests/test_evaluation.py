@@ -37,7 +37,8 @@ from soma_bullet.evaluation.line import (
 )
 from soma_bullet.evaluation.options import EvaluationOptions, Spread, draw, episode_options
 from soma_bullet.evaluation.replay import replay
-from soma_bullet.evaluation.summary import summarise, wilson
+from soma_bullet.evaluation.statistics import wilson
+from soma_bullet.evaluation.summary import summarise
 from soma_bullet.evaluation.workers import _inherited
 from soma_bullet.executive.executive import ExecutionOptions
 from soma_bullet.sim.judge import Tolerance

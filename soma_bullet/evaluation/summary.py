@@ -7,16 +7,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest
 
 from soma_bullet.evaluation.line import DIGITS, Line, rounded
-
-
-def wilson(successes: int, count: int) -> tuple[float, float]:
-    """95 % interval of a success rate (E. Wilson, 1927)."""
-    interval = binomtest(successes, count).proportion_ci(0.95, method="wilson")
-    return round(float(interval.low), DIGITS), round(float(interval.high), DIGITS)
-
+from soma_bullet.evaluation.statistics import wilson
 
 # name in the summary: list in a line, key of its members
 MEASURED = {

@@ -23,10 +23,11 @@ from soma_bullet.sim.execute import Executor, Observation
 from soma_bullet.sim.log import Event
 from soma_bullet.task.assignments import Carried, Start
 from soma_bullet.task.beside import Beside
+from soma_bullet.task.builder import NO_PATH, NONE
 from soma_bullet.task.feed import FeedOptions, misplace
 from soma_bullet.task.motions import joined
 from soma_bullet.task.overlap import overlapped
-from soma_bullet.task.program import NO_PATH, NONE, recover_program, replan
+from soma_bullet.task.program import recover_program, replan
 from soma_bullet.task.segments import DT, MOTIONS, OPENING_TIME, SMALLEST_JUMP, SPEEDS, Program, Segment
 from soma_bullet.task.tracing import APPROACH
 from soma_bullet.task.workcell import Hands, Workcell

@@ -11,7 +11,8 @@ import numpy as np
 
 from soma_bullet.errors import InputError
 from soma_bullet.frames import Array, make_transform
-from soma_bullet.robot.cell import Arm, Cell, mesh_file, parse_urdf
+from soma_bullet.robot.cell import mesh_file, parse_urdf
+from soma_bullet.robot.model import Arm, Cell
 
 # PyBullet takes 1 kg and 1 kg m^2 for a link without an inertial element.
 _TINY_MASS, _TINY_INERTIA = 1e-3, 1e-6  # [kg], [kg m^2]

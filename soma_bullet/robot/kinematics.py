@@ -11,8 +11,8 @@ import pinocchio as pin
 from eaik.IK_HP import HPRobot
 
 from soma_bullet.frames import Array, readonly
-from soma_bullet.robot.cell import Arm, Cell
 from soma_bullet.robot.compose import compose_urdf
+from soma_bullet.robot.model import Arm, Cell
 
 FK_ERROR = 1e-6  # [m, and rad] an inverse-kinematics branch that misses its pose by more is dropped
 

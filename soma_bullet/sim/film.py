@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError
 from soma_bullet.frames import Array
-from soma_bullet.robot.cell import Cell
 from soma_bullet.robot.compose import compose_urdf
+from soma_bullet.robot.model import Cell
 from soma_bullet.sim import look
 from soma_bullet.sim.camera import CAMERAS, Frame, PieceVisual
 from soma_bullet.sim.caption import Caption, holds, narration

@@ -9,7 +9,7 @@ import numpy as np
 from soma_bullet.assembly.contacts import SUPPORT
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, Indices, apply, inverse, rotation_angle
-from soma_bullet.robot.cell import Cell
+from soma_bullet.robot.model import Cell
 from soma_bullet.sim.log import ExecutionLog, SegmentRecord
 
 STAND, TABLE = "stand", "table"

@@ -16,8 +16,8 @@ import numpy as np
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, inverse, to_quat_xyzw
 from soma_bullet.frames import from_quat_xyzw as transform_of
-from soma_bullet.robot.cell import Cell
 from soma_bullet.robot.compose import compose_urdf
+from soma_bullet.robot.model import Cell
 from soma_bullet.sim.bodies import write_piece_urdf
 from soma_bullet.sim.quiet import pybullet as p
 from soma_bullet.sim.quiet import silenced

@@ -11,7 +11,7 @@ import numpy as np
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, apply, make_transform, readonly, rotation_angle, translate
 from soma_bullet.frames import from_quat_xyzw as transform_of
-from soma_bullet.robot.cell import Cell
+from soma_bullet.robot.model import Cell
 from soma_bullet.sim.quiet import pybullet as p
 from soma_bullet.sim.stage import Physics, Stage
 

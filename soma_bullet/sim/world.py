@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, make_transform
-from soma_bullet.robot.cell import Cell
+from soma_bullet.robot.model import Cell
 from soma_bullet.sim.quiet import pybullet as p
 from soma_bullet.sim.stage import Physics, Stage
 

@@ -215,3 +215,19 @@ class Start:
     poses: Mapping[str, Array]
     hands: Hands
     carrying: Carried | None = None
+
+
+def key(assignment: Assignment) -> tuple[object, ...]:
+    """What tells one way to do a step from the others: step, arm, grasp, then its regrasps."""
+    chain: list[object] = []
+    for regrasp in assignment.regrasps:
+        pick = None if isinstance(regrasp, Square) else regrasp.pick
+        chain += [regrasp.piece, regrasp.arm, pick.grasp if pick is not None else -1, whereabouts(regrasp)]
+    return assignment.step, assignment.arm, assignment.grasp, *chain
+
+
+def whereabouts(regrasp: Regrasp) -> bytes:
+    """Where a piece is left, or changes hands, or is squared."""
+    if isinstance(regrasp, PutDown):
+        return regrasp.pose_down.tobytes()
+    return (regrasp.q_grasp if isinstance(regrasp, Square) else regrasp.pose_met).tobytes()

@@ -16,7 +16,7 @@ from soma_bullet.frames import Array, apply, make_transform, readonly, rotation_
 from soma_bullet.grasp.clearance import SUPPORT_MARGIN, sweep_hand
 from soma_bullet.grasp.hand import Hand
 from soma_bullet.planner.assembly_plan import AssemblyPlan
-from soma_bullet.robot.cell import Cell
+from soma_bullet.robot.model import Cell
 from soma_bullet.task.grasps import grasp_poses
 
 GAP = 0.010  # [m] between the footprints of two pieces

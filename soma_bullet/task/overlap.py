@@ -21,8 +21,8 @@ from soma_bullet.frames import Array, readonly
 from soma_bullet.motion.timing import TimingError, time_path
 from soma_bullet.motion.transfer import TransferError
 from soma_bullet.robot.silhouette import Obstacle, Silhouette, distance
+from soma_bullet.task.builder import scene_of
 from soma_bullet.task.motions import CARRYING, check, collisions, plan_motion, thinned, widths_between
-from soma_bullet.task.program import scene_of
 from soma_bullet.task.segments import DT, Context, Program, Segment, contexts, entering, leaving, one_at_a_time
 from soma_bullet.task.sweeps import CLEARANCE, GHOST_STEP, Sweep, meet
 from soma_bullet.task.workcell import Workcell

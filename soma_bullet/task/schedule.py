@@ -16,9 +16,9 @@ import numpy as np
 
 from soma_bullet.errors import NoSolutionError
 from soma_bullet.planner.assembly_plan import AssemblyPlan
-from soma_bullet.task.assignments import Assignment, PutDown, Regrasp, Schedule, Square, Start
+from soma_bullet.task.assignments import Assignment, PutDown, Regrasp, Schedule, Square, Start, key, whereabouts
 from soma_bullet.task.feed import Feed, serving_grasps
-from soma_bullet.task.search import Search, key, whereabouts
+from soma_bullet.task.search import Search
 from soma_bullet.task.squaring import square_key
 from soma_bullet.task.tracing import Effort, TooManyLines
 from soma_bullet.task.workcell import Workcell

@@ -19,7 +19,7 @@ import numpy as np
 from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import Array, Indices, inverse, readonly
 from soma_bullet.planner.assembly_plan import AssemblyPlan
-from soma_bullet.task.assignments import Assignment, HandOver, Pick, PutDown, Regrasp, Release, Square, Start, Take
+from soma_bullet.task.assignments import Assignment, HandOver, Pick, PutDown, Regrasp, Release, Start, Take, key
 from soma_bullet.task.feed import Feed
 from soma_bullet.task.fetch import CHAINS, Action, Fetcher, View
 from soma_bullet.task.holding import State
@@ -346,19 +346,3 @@ def _distinct(candidates: Iterable[Candidate]) -> list[Candidate]:
     for candidate in candidates:
         found.setdefault((candidate.arm, candidate.grip.index), candidate)
     return list(found.values())
-
-
-def key(assignment: Assignment) -> tuple[object, ...]:
-    """What tells one way to do a step from the others: step, arm, grasp, then its regrasps."""
-    chain: list[object] = []
-    for regrasp in assignment.regrasps:
-        pick = None if isinstance(regrasp, Square) else regrasp.pick
-        chain += [regrasp.piece, regrasp.arm, pick.grasp if pick is not None else -1, whereabouts(regrasp)]
-    return assignment.step, assignment.arm, assignment.grasp, *chain
-
-
-def whereabouts(regrasp: Regrasp) -> bytes:
-    """Where a piece is left, or changes hands, or is squared."""
-    if isinstance(regrasp, PutDown):
-        return regrasp.pose_down.tobytes()
-    return (regrasp.q_grasp if isinstance(regrasp, Square) else regrasp.pose_met).tobytes()

@@ -12,9 +12,9 @@ from soma_bullet.assembly.contacts import SUPPORT
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError
 from soma_bullet.frames import Array, make_transform, readonly, rotation_angle
-from soma_bullet.robot.cell import Cell
 from soma_bullet.robot.collision import CollisionModel, Scene, Situation
 from soma_bullet.robot.kinematics import Robot
+from soma_bullet.robot.model import Cell
 
 SMALLEST_STAND = 0.03  # [m]
 STAND_RIM = 0.005  # [m] of stand around the footprint

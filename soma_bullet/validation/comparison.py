@@ -17,7 +17,8 @@ import numpy as np
 from soma_bullet.planner.equilibrium import TIE, classify
 from soma_bullet.planner.qualities import PlannerOptions, Qualities
 from soma_bullet.records import write_json
-from soma_bullet.robot.cell import Cell, load_cell
+from soma_bullet.robot.cell import load_cell
+from soma_bullet.robot.model import Cell
 from soma_bullet.sim.standing import stands
 from soma_bullet.validation.rigid_blocks import (
     ALIKE,

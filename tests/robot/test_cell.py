@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from soma_bullet.errors import InputError
-from soma_bullet.robot.cell import Cell, load_cell
+from soma_bullet.robot.cell import load_cell
 from soma_bullet.robot.compose import compose_urdf
+from soma_bullet.robot.model import Cell
 
 ROOT = Path(__file__).resolve().parents[2]
 CELLS = sorted(path.parent.name for path in ROOT.glob("robots/*/cell.toml"))

@@ -14,8 +14,9 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, make_transform, readonly
 from soma_bullet.motion.line import sample_line
 from soma_bullet.motion.timing import HandLimits, time_path
-from soma_bullet.robot.cell import Cell, load_cell
+from soma_bullet.robot.cell import load_cell
 from soma_bullet.robot.kinematics import Robot
+from soma_bullet.robot.model import Cell
 from soma_bullet.sim.execute import FINAL_SETTLE, Executor
 from soma_bullet.sim.guide import Compliance
 from soma_bullet.sim.stage import Physics

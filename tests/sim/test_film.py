@@ -16,7 +16,8 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError
 from soma_bullet.frames import make_transform, to_quat_xyzw
 from soma_bullet.records import write_npz
-from soma_bullet.robot.cell import Cell, load_cell
+from soma_bullet.robot.cell import load_cell
+from soma_bullet.robot.model import Cell
 from soma_bullet.sim.camera import CAMERAS
 from soma_bullet.sim.caption import holds, narration, phases, vector
 from soma_bullet.sim.crew import Crew, Shot

@@ -10,7 +10,8 @@ import pytest
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, apply, make_transform, rotation_about, to_quat_xyzw
-from soma_bullet.robot.cell import Cell, load_cell
+from soma_bullet.robot.cell import load_cell
+from soma_bullet.robot.model import Cell
 from soma_bullet.sim.judge import Judgement, Tolerance, judge
 from soma_bullet.sim.log import ExecutionLog, SegmentRecord
 

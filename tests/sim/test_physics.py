@@ -13,8 +13,9 @@ from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.frames import Array, apply, from_quat_xyzw, inverse, make_transform, rotation_about, rotation_angle
-from soma_bullet.robot.cell import Cell, load_cell
+from soma_bullet.robot.cell import load_cell
 from soma_bullet.robot.kinematics import Robot
+from soma_bullet.robot.model import Cell
 from soma_bullet.sim.quiet import pybullet as p
 from soma_bullet.sim.stage import Physics
 from soma_bullet.sim.travel import STALE, STALE_POINTS, WATCH

@@ -8,7 +8,8 @@ import pytest
 from blocks import SIDE, assembly, box, cells
 
 from soma_bullet.assembly.model import Assembly
-from soma_bullet.robot.cell import Cell, load_cell
+from soma_bullet.robot.cell import load_cell
+from soma_bullet.robot.model import Cell
 from soma_bullet.sim.standing import FALLEN_DEG, FALLEN_MM, Standing, stands
 
 

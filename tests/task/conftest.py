@@ -8,7 +8,8 @@ from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.plan import make_plan
-from soma_bullet.robot.cell import Cell, load_cell
+from soma_bullet.robot.cell import load_cell
+from soma_bullet.robot.model import Cell
 from soma_bullet.task.feed import Feed, FeedOptions, draw_feed
 from soma_bullet.task.program import make_program
 from soma_bullet.task.segments import Program

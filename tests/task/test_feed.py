@@ -12,7 +12,7 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import Array, apply, readonly
 from soma_bullet.planner.assembly_plan import AssemblyPlan
-from soma_bullet.robot.cell import Cell
+from soma_bullet.robot.model import Cell
 from soma_bullet.task.feed import (
     GAP,
     STEADY_MARGIN,

@@ -9,7 +9,7 @@ from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.separation import swept_separation
 from soma_bullet.frames import Array
 from soma_bullet.planner.store import kept_plan
-from soma_bullet.robot.cell import Cell
+from soma_bullet.robot.model import Cell
 from soma_bullet.task.guarded import BEFORE, FREE, NEAR, guarded_length, last_near
 from soma_bullet.task.placing import RUN_IN
 from soma_bullet.task.segments import PLACE

@@ -11,7 +11,7 @@ from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import make_transform, rotation_about, translate
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.records import read_npz, write_npz
-from soma_bullet.robot.cell import Cell
+from soma_bullet.robot.model import Cell
 from soma_bullet.task.assignments import Carried, PutDown, Square, Start
 from soma_bullet.task.program import recover_program
 from soma_bullet.task.segments import MOTIONS, Context, Program, contexts

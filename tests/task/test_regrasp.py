@@ -19,12 +19,13 @@ from soma_bullet.frames import apply, inverse
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.store import kept_plan
 from soma_bullet.records import read_npz, write_npz
-from soma_bullet.robot.cell import Cell
 from soma_bullet.robot.collision import Situation
+from soma_bullet.robot.model import Cell
 from soma_bullet.task.assignments import HandOver, PutDown
+from soma_bullet.task.builder import scene_of
 from soma_bullet.task.feed import FeedOptions, draw_feed, steady_poses
 from soma_bullet.task.grasps import grasp_poses, grasp_table
-from soma_bullet.task.program import make_program, scene_of
+from soma_bullet.task.program import make_program
 from soma_bullet.task.regrasp import GraspGraph
 from soma_bullet.task.segments import MOTIONS, Program, contexts
 from soma_bullet.task.workcell import Workcell

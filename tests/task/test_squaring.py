@@ -12,7 +12,7 @@ from soma_bullet.frames import make_transform, rotation_about
 from soma_bullet.grasp.clearance import OPENING, sweep_hand
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.records import read_npz, write_npz
-from soma_bullet.robot.cell import Cell
+from soma_bullet.robot.model import Cell
 from soma_bullet.task.assignments import Square
 from soma_bullet.task.feed import FeedOptions, draw_feed, steady_poses
 from soma_bullet.task.program import make_program

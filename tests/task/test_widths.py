@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from soma_bullet.grasp.hand import Hand
+from soma_bullet.task.builder import scene_of
 from soma_bullet.task.motions import FINGER_STEP, collisions, refined, widths_between
-from soma_bullet.task.program import scene_of
 from soma_bullet.task.segments import DT, Program, contexts
 from soma_bullet.task.workcell import Workcell
 

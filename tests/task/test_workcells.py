@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from soma_bullet.assembly.file import load_assembly
-from soma_bullet.robot.cell import Cell
+from soma_bullet.robot.model import Cell
 from soma_bullet.task.workcell import Workcell
 
 FILES = sorted((Path(__file__).parents[2] / "meshes").glob("*/*.toml"))
