@@ -138,7 +138,6 @@ class Scene:
     def _prepare(self) -> None:
         """Make ready for the shapes and the pairs as they are."""
         self._broad_phase = None
-        self._results: list[coal.CollisionResult] = []  # of the pairs, looked up once
         self.geometry_data = self.geometry.createData()
         for request, margin in zip(self.geometry_data.collisionRequests, self._margins.tolist(), strict=True):
             request.security_margin = margin
@@ -219,17 +218,13 @@ class Scene:
         if self._broad_phase is None:
             # with some fifty shapes that nearly all move, to compare all boxes is faster than to keep a tree of them
             self._broad_phase = pin.BroadPhaseManager_NaiveCollisionManager(self.robot.model, self.geometry, self.geometry_data)
-        return bool(pin.computeCollisions(self.robot.model, self.data, self._broad_phase, configuration, True))
+            self._found = pin.CollisionCallBackDefault(self.geometry, self.geometry_data, True)
+        return bool(pin.computeCollisions(self.robot.model, self.data, self._broad_phase, self._found, configuration))
 
-    def first_collision(self, configuration: Array) -> tuple[str, str] | None:
-        """One pair of bodies that are too near, or None; cheaper than `colliding`."""
-        # judged pair by pair, in their order, unlike `collides`
-        if not pin.computeCollisions(self.robot.model, self.data, self.geometry, self.geometry_data, configuration, True):
-            return None
-        if not self._results:
-            self._results = list(self.geometry_data.collisionResults)
-        first = next(k for k, result in enumerate(self._results) if result.isCollision())
-        pair = self.geometry.collisionPairs[first]
+    @property
+    def met(self) -> tuple[str, str]:
+        """One pair of bodies that are too near, where the last configuration collides."""
+        pair = self.geometry.collisionPairs[int(self._found.collisionPairIndex)]
         return self.collision_model.bodies[pair.first], self.collision_model.bodies[pair.second]
 
     def colliding(self, configuration: Array) -> list[tuple[str, str, float]]:

@@ -14,6 +14,7 @@ from soma_bullet.frames import Array, readonly
 from soma_bullet.robot.compose import compose_urdf
 from soma_bullet.robot.model import Arm, Cell
 
+Slots = slice | list[int]  # of an arm's joints in pinocchio's vector
 FK_ERROR = 1e-6  # [m, and rad] an inverse-kinematics branch that misses its pose by more is dropped
 
 
@@ -32,7 +33,7 @@ class Robot:
             self.model = pin.buildModelFromUrdf(urdf)
             self.geometry = pin.buildGeomFromUrdf(self.model, urdf, pin.GeometryType.COLLISION)
         self.data = self.model.createData()
-        self._arm_slots = [[self._slot(name) for name in arm.joint_names] for arm in cell.arms]
+        self._arm_slots = [_span([self._slot(name) for name in arm.joint_names]) for arm in cell.arms]
         self._finger_slots = [[self._slot(name) for name in arm.finger_joints] for arm in cell.arms]
         self._tcp_frames = [self.model.getFrameId(arm.tcp_link) for arm in cell.arms]
         self._solvers = [self._solver(k) for k in range(len(cell.arms))]
@@ -66,7 +67,7 @@ class Robot:
             q[fingers] = openings[arm] / 2
         return q
 
-    def arm_slots(self, arm: int) -> list[int]:
+    def arm_slots(self, arm: int) -> Slots:
         """Where one arm's joints stand in pinocchio's vector."""
         return self._arm_slots[arm]
 
@@ -146,6 +147,12 @@ class Robot:
         axes = np.array([place[:3, 2] for place in places])
         origins = np.array([np.zeros(3), *(place[:3, 3] for place in places), tcp[:3, 3]])
         return HPRobot(axes, np.diff(origins, axis=0)), tcp[:3, :3]
+
+
+def _span(slots: list[int]) -> Slots:
+    """Slots as a slice where one follows the other: numpy is much quicker with these."""
+    first = slots[0]
+    return slice(first, first + len(slots)) if slots == list(range(first, first + len(slots))) else slots
 
 
 def nearest_turn(q: Array, reference: Array, lower: Array, upper: Array) -> Array | None:

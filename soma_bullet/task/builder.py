@@ -243,8 +243,8 @@ class ProgramBuilder:
         if error.q is None:
             return "no path within the budget"
         configuration = self.workcell.configuration(context.hands, arm, error.q, width)
-        pair = scene_of(self.workcell, context, arm).first_collision(configuration)
-        return f"{error.cause} in collision" + (f": {pair[0]} meets {pair[1]}" if pair else "")
+        scene = scene_of(self.workcell, context, arm)
+        return f"{error.cause} in collision" + (f": {' meets '.join(scene.met)}" if scene.collides(configuration) else "")
 
     def _line(self, a: Assignment | None, kind: Kind, offset: Array, who: Who | None = None, loose: bool = False) -> Made:
         step, arm, piece = self._about(a, who)

@@ -25,7 +25,7 @@ from soma_bullet.task.fetch import CHAINS, Action, Fetcher, View
 from soma_bullet.task.holding import State
 from soma_bullet.task.options import Candidate
 from soma_bullet.task.placing import RUN_IN, Placer, Placing
-from soma_bullet.task.spots import comfort, spread
+from soma_bullet.task.spots import bearings, comfort, spread
 from soma_bullet.task.tracing import Effort, Grip, TooManyLines, Tracer
 from soma_bullet.task.turns import Option, Turns
 from soma_bullet.task.workcell import Workcell
@@ -260,13 +260,10 @@ class Search:
         cost = self.finder.awkwardness(view, indices)
         arms = self._arms(view, ranked)
         groups: dict[tuple[float, ...], list[Candidate]] = {}  # by arm and direction of the hand: each may fail as a whole
-        for rank in np.argsort(np.round(cost, 9), kind="stable"):
-            g = int(indices[rank])
+        indices = indices[np.argsort(np.round(cost, 9), kind="stable")]
+        for g, direction in zip(indices.tolist(), bearings(graph.poses[indices]), strict=True):
             for arm in arms:
-                T = graph.poses[g]
-                groups.setdefault((arm, *np.round(T[:3, 2] * 4), *np.round(T[:3, 0] * 4)), []).append(
-                    Candidate(arm, graph.grip(g))
-                )
+                groups.setdefault((arm, *direction), []).append(Candidate(arm, graph.grip(g)))
         found = 0
         turns = (c for turn in itertools.zip_longest(*groups.values()) for c in turn if c is not None)
         first = self._first_of(ranked, True, view, indices)

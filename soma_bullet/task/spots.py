@@ -33,12 +33,17 @@ def comfort(robot: Robot, arm: int, Ts_world_tcp: Array) -> Array:
     return np.asarray(angle + 5 * (np.maximum(reach - FAR, 0) + np.maximum(NEAR - reach, 0)))
 
 
+def bearings(poses: Array) -> list[tuple[float, ...]]:
+    """Of hands at poses (n, 4, 4) the directions of approach and of closing, coarsely: hands that may fail alike are alike."""
+    return [tuple(row) for row in np.round(4.0 * poses[:, :3, [2, 0]]).reshape(-1, 6).tolist()]
+
+
 def spread(poses: Array, indices: Indices, cost: Array) -> list[int]:
     """Grasps (some indices of poses (n, 4, 4)) by cost: the best one of every direction of the hand first."""
     groups: dict[tuple[float, ...], list[int]] = {}
-    for rank in np.argsort(np.round(cost, 9), kind="stable"):
-        g = int(indices[rank])
-        groups.setdefault((*np.round(poses[g][:3, 2] * 4), *np.round(poses[g][:3, 0] * 4)), []).append(g)
+    ranked = indices[np.argsort(np.round(cost, 9), kind="stable")]
+    for g, direction in zip(ranked.tolist(), bearings(poses[ranked]), strict=True):
+        groups.setdefault(direction, []).append(g)
     longest = max(map(len, groups.values()), default=0)
     return [group[k] for k in range(longest) for group in groups.values() if k < len(group)]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -106,11 +106,10 @@ class Tracer:
             raise TooManyLines
         self.lines += 1
         self.effort.lines += 1
-        collides = lambda p: m.scene.collides(self.workcell.configuration(m.hands, m.arm, p, m.width))  # noqa: E731
         try:
-            return line_back(self.robot, m.arm, q, T, away, length, collides)
+            return line_back(self.robot, m.arm, q, T, away, length, self._check(m))
         except LineError as error:
-            self._reject_line(name, m, error)
+            self._reject_line(name, m, error.cause)
             return None
 
     def free(self, name: str, m: Mover, line: Array) -> bool:
@@ -118,15 +117,23 @@ class Tracer:
         if self.effort.spent:
             raise TooManyLines
         self.effort.lines += 1
-        for q in line:
-            if m.scene.collides(self.workcell.configuration(m.hands, m.arm, q, m.width)):
-                self._reject_line(name, m, LineError("collision", 0.0, q))
-                return False
+        collides = self._check(m)
+        if any(collides(q) for q in line):
+            self._reject_line(name, m, "collision")
+            return False
         return True
 
-    def _reject_line(self, name: str, m: Mover, error: LineError) -> None:
-        if error.cause != "collision" or error.q is None:
-            self.reject(m.piece, f"{name}: {error.cause}")
-            return
-        pair = m.scene.first_collision(self.workcell.configuration(m.hands, m.arm, error.q, m.width))
-        self.reject(m.piece, f"{name}: {pair[0]} meets {pair[1]}" if pair else f"{name}: collision")
+    def _check(self, m: Mover) -> Callable[[Array], bool]:
+        """Whether the mover collides at joints (6,)."""
+        configuration = self.workcell.configuration(m.hands, m.arm, m.hands.qs[m.arm], m.width)
+        slots = self.robot.arm_slots(m.arm)
+
+        def collides(q: Array) -> bool:
+            configuration[slots] = q
+            return m.scene.collides(configuration)
+
+        return collides
+
+    def _reject_line(self, name: str, m: Mover, cause: str) -> None:
+        """Count a rejection for its cause, a collision as that of the pair that has just been found."""
+        self.reject(m.piece, f"{name}: " + (" meets ".join(m.scene.met) if cause == "collision" else cause))

@@ -83,7 +83,7 @@ def test_broad_phase_equals_all_pairs(robot: Robot, model: CollisionModel) -> No
     for scene in scenes:
         hits = 0
         for q in states(robot, 500, 0):
-            expected = scene.first_collision(q) is not None
+            expected = bool(scene.colliding(q))
             assert scene.collides(q) == expected
             hits += expected
         assert 50 < hits < 450
@@ -94,8 +94,7 @@ def test_colliding_names_the_pairs_that_are_too_near(robot: Robot, model: Collis
     for q in states(robot, 60, 1):
         pairs = scene.colliding(q)
         assert bool(pairs) == scene.collides(q)
-        first = scene.first_collision(q)
-        assert first is None or first in {(a, b) for a, b, _ in pairs}
+        assert not pairs or scene.met in {(a, b) for a, b, _ in pairs}
         assert [d for *_, d in pairs] == sorted(d for *_, d in pairs)
 
 
@@ -146,7 +145,7 @@ def test_a_carried_piece_is_checked(robot: Robot, blocks: CollisionModel) -> Non
     assert {frozenset(p[:2]) for p in scene.colliding(q)} == {frozenset({"one", "table"}), frozenset({"one", "two"})}
     # the same scene serves another grasp
     scene.attach("one", 0, inverse(T) @ make_transform(None, (0, 0.25, 0.09)))
-    assert not scene.collides(q) and scene.first_collision(q) is None
+    assert not scene.collides(q) and not scene.colliding(q)
     # what nobody grips is hit by the fingers
     higher = (0, inverse(T) @ make_transform(None, (0, 0.25, 0.09)))
     loose = blocks.scene(replace(carrying, gripped={}, carried={"one": higher}))
