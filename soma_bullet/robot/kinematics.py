@@ -131,11 +131,10 @@ class Robot:
         found = np.asarray(solver.IK(pose).Q, float).reshape(-1, 6)
         limits = self.arm(arm)
         turned = previous + (found - previous + np.pi) % (2 * np.pi) - np.pi
-        within = ((turned <= limits.upper) & (turned >= limits.lower)).all(axis=1)  # what is not a number is not, either
-        kept = turned[within]
-        for k in np.argsort(np.abs(kept - previous).max(axis=1), kind="stable"):
-            if np.abs(self.tcp(arm, kept[k]) - T_world_tcp).max() < FK_ERROR:
-                return np.array(kept[k])
+        for q in turned[np.abs(turned - previous).max(axis=1).argsort(kind="stable")]:
+            within = ((q <= limits.upper) & (q >= limits.lower)).all()  # what is not a number is not, either
+            if within and np.abs(self.tcp(arm, q) - T_world_tcp).max() < FK_ERROR:
+                return np.array(q)
         return None
 
     def _solver(self, arm: int) -> tuple[HPRobot, Array]:
