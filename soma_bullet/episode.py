@@ -20,6 +20,7 @@ from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError, NoSolutionError
 from soma_bullet.executive.executive import ExecutionOptions, Executive
+from soma_bullet.grasp.hand import Hand
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.qualities import PlannerOptions
 from soma_bullet.planner.store import kept_plan
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
 
 Progress = Callable[[str, float], None]  # what is going on, and the fraction of the stage that is done
 ORDERS = 12  # orders that are tried, best first, before the search for a schedule gives up
+POOR, THOROUGH = 0.01, 3.0  # of the best score: before orders below, the better ones are searched again, so many times longer
 
 
 @dataclass(frozen=True)
@@ -248,19 +250,34 @@ def _plan_and_program(
     assembly: Assembly, workcell: Workcell, plan: AssemblyPlan, options: EpisodeOptions, progress: Progress
 ) -> tuple[AssemblyPlan, Program]:
     """The best order that has a schedule: an order without one is ruled out, and the next best is tried."""
-    hand, excluded, reasons = workcell.cell.arms[0].hand, frozenset[tuple[str, ...]](), Counter[str]()
-    for _ in range(ORDERS):
+    orders, reasons = set[tuple[str, ...]](), Counter[str]()
+    for candidate, effort in _candidates(assembly, workcell.cell.arms[0].hand, plan):
+        orders.add(candidate.order)
         try:
-            feed = draw_feed(assembly, plan, workcell.cell, options.seed, options.feed)
-            return plan, make_program(workcell, plan, feed, options.seed, lambda reason: progress(reason, 0.0))
+            feed = draw_feed(assembly, candidate, workcell.cell, options.seed, options.feed)
+            say = lambda reason: progress(reason, 0.0)  # noqa: E731
+            return candidate, make_program(workcell, candidate, feed, options.seed, say, effort=effort)
         except NoSolutionError as error:
             reasons += error.reasons or Counter({error.summary: 1})
-            excluded |= {plan.order}
-            try:
-                plan = kept_plan(assembly, hand, plan.options, excluded)
-            except NoSolutionError:
-                break
-    raise NoSolutionError("schedule", f"none of the {len(excluded)} best orders of {assembly.name} has a schedule", reasons)
+    raise NoSolutionError("schedule", f"none of the {len(orders)} best orders of {assembly.name} has a schedule", reasons)
+
+
+def _candidates(assembly: Assembly, hand: Hand, plan: AssemblyPlan) -> Iterator[tuple[AssemblyPlan, float]]:
+    """Plans of different orders, best first, and the effort of their search: before far worse orders the better ones again."""
+    best, better, excluded = plan.score, list[AssemblyPlan](), frozenset[tuple[str, ...]]()
+    for _ in range(ORDERS):
+        if plan.score < POOR * best:
+            yield from ((earlier, THOROUGH) for earlier in better)
+            better = []
+        yield plan, 1.0
+        if plan.score >= POOR * best:
+            better.append(plan)
+        excluded |= {plan.order}
+        try:
+            plan = kept_plan(assembly, hand, plan.options, excluded)
+        except NoSolutionError:
+            break
+    yield from ((earlier, THOROUGH) for earlier in better)
 
 
 def execute(

@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from soma_bullet import episode
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.episode import EpisodeOptions, run_episode
+from soma_bullet.errors import NoSolutionError
 from soma_bullet.records import VERSIONED, read_npz, to_tree
 from soma_bullet.report.report import EpisodeReport
 from soma_bullet.robot.cell import load_cell
@@ -171,3 +174,26 @@ def test_until_the_hold_the_ablation_is_the_same_episode(built: Run, ablated: Ru
     assert len(samples) > 100
     assert full.poses[samples].tobytes() == cut.poses[samples].tobytes()
     assert full.joints[samples].tobytes() == cut.joints[samples].tobytes()
+
+
+@pytest.mark.parametrize(
+    ("scores", "expected"),
+    [
+        ((1.0, 0.5, 1e-3, 1e-4), [(0, 1.0), (1, 1.0), (0, 3.0), (1, 3.0), (2, 1.0), (3, 1.0)]),
+        ((1.0, 0.5), [(0, 1.0), (1, 1.0), (0, 3.0), (1, 3.0)]),
+    ],
+)
+def test_better_orders_are_searched_again_before_far_worse_ones(
+    scores: tuple[float, ...], expected: list[tuple[int, float]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plans = [SimpleNamespace(order=(str(k),), score=score, options=None) for k, score in enumerate(scores)]
+
+    def next_best(assembly: object, hand: object, options: object, excluded: frozenset[tuple[str, ...]]) -> object:
+        if len(excluded) == len(plans):
+            raise NoSolutionError("plan", "no order is left")
+        assert excluded == {plan.order for plan in plans[: len(excluded)]}
+        return plans[len(excluded)]
+
+    monkeypatch.setattr(episode, "kept_plan", next_best)
+    tried = [(int(plan.order[0]), effort) for plan, effort in episode._candidates(None, None, plans[0])]  # type: ignore[arg-type]
+    assert tried == expected

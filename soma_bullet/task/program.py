@@ -39,6 +39,7 @@ def make_program(
     seed: int,
     progress: Callable[[str], None] | None = None,
     start: Start | None = None,
+    effort: float = 1.0,
 ) -> Program:
     """Schedule and trajectories of a plan, from the beginning or from a state as found.
 
@@ -48,7 +49,7 @@ def make_program(
     Raises:
         NoSolutionError: with what blocked, most frequent first.
     """
-    scheduler = Scheduler(workcell, plan, feed, start)
+    scheduler = Scheduler(workcell, plan, feed, start, effort)
     while True:
         schedule = scheduler.find()
         try:

@@ -31,10 +31,14 @@ MOST_LINES = 36_000  # of hands made or checked in all rounds together, about 25
 
 
 class Scheduler:
-    """Searches schedules of one plan, feed and cell, from the beginning or from a state as found."""
+    """Searches schedules of one plan, feed and cell, from the beginning or from a state as found.
 
-    def __init__(self, workcell: Workcell, plan: AssemblyPlan, feed: Feed, start: Start | None = None):
-        self.workcell, self.plan, self.feed, self.start = workcell, plan, feed, start
+    Args:
+        effort: how long a search may take, in units of MOST_LINES.
+    """
+
+    def __init__(self, workcell: Workcell, plan: AssemblyPlan, feed: Feed, start: Start | None = None, effort: float = 1.0):
+        self.workcell, self.plan, self.feed, self.start, self.effort = workcell, plan, feed, start, effort
         self.rejections: Counter[str] = Counter()
         self.excluded: set[tuple[object, ...]] = set()
         self._effort = Effort()
@@ -43,7 +47,7 @@ class Scheduler:
 
     def find(self) -> Schedule:
         """The first schedule. Raises NoSolutionError with what blocked, most frequent first."""
-        self._effort.most = self._effort.lines + MOST_LINES
+        self._effort.most = self._effort.lines + round(self.effort * MOST_LINES)
         try:
             found = self._find()
         except TooManyLines:
