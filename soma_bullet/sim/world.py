@@ -16,6 +16,8 @@ from soma_bullet.sim.stage import Physics, Stage
 
 CLOSING_SPEED, OPENING_SPEED = 0.05, 0.1  # [m/s]
 SETTLED = 8  # iterations of the solver in which a finger's motor reaches its limit
+SLIPS_EVERY = 0.5  # [s] between looks for contacts that have slipped; more often, and what is pinched creeps
+SLIPPED = 0.97  # of the most that friction can hold: there two bodies slip
 FORMING = 2  # steps in which the contacts of a pad form anew: the fingers stand still in the first and close slowly in the next
 
 
@@ -32,7 +34,7 @@ class World(Stage):
         physics: Physics,
     ):
         super().__init__(cell, assembly, stand, poses, home, physics)
-        self.steps = 0
+        self.steps, self._slips_every = 0, round(SLIPS_EVERY / physics.dt)
         self._efforts = [arm.effort.tolist() for arm in cell.arms]
         self._squeezing = [0.0] * len(cell.arms)  # [N]
         self._forming = [0] * len(cell.arms)  # steps until the contacts of a hand's pads have formed anew
@@ -103,6 +105,8 @@ class World(Stage):
 
     def step(self) -> None:
         """One time step with the current commands."""
+        if self.steps % self._slips_every == 0:
+            self._forget_slips()
         p.stepSimulation(physicsClientId=self.client)
         self._contact_rows = None
         self.steps += 1
@@ -110,6 +114,28 @@ class World(Stage):
             if steps:
                 self._forming[arm] = steps - 1
                 self.squeeze(arm, self._squeezing[arm])
+
+    def _forget_slips(self) -> None:
+        """Let the contacts of pieces that slip on something, and that no pad touches, form anew in the next step.
+
+        Bullet's anchored contact pulls towards where it formed, and lets go where its friction exceeds the limit: that of one
+        which slips is at the limit, and exceeds it by rounding alone. It goes on pulling with all its friction in the same
+        direction, has none left for any other, and what is pinched so creeps. Coulomb's friction has no such memory.
+        """
+        pieces, pads = set(self.pieces.values()), {part for parts in self.finger_links for part in parts}
+        held, most = dict[tuple[int, int], float](), dict[tuple[int, int], float]()
+        gripped = set[int]()
+        for row in self._contacts_now():
+            one, two = (row[1], row[3]), (row[2], row[4])
+            pair = (one[0], two[0])
+            if one in pads or two in pads:
+                gripped |= {*pair}
+            elif pieces.intersection(pair) and one in self.roughness and two in self.roughness:
+                held[pair] = held.get(pair, 0.0) + float(np.hypot(row[10], row[12]))
+                most[pair] = most.get(pair, 0.0) + self.roughness[one] * self.roughness[two] * row[9]
+        slipping = {body for pair in held if held[pair] >= SLIPPED * most[pair] > 0.0 for body in pair}
+        for body in sorted(slipping & pieces - gripped):
+            p.setCollisionFilterGroupMask(body, -1, 1, -1, physicsClientId=self.client)
 
     # --- what a real cell would know -----------------------------------------------------------------------------------------
 

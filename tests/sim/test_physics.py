@@ -19,7 +19,7 @@ from soma_bullet.robot.model import Cell
 from soma_bullet.sim.quiet import pybullet as p
 from soma_bullet.sim.stage import Physics
 from soma_bullet.sim.travel import STALE, STALE_POINTS, WATCH
-from soma_bullet.sim.world import World
+from soma_bullet.sim.world import SLIPS_EVERY, World
 from tests.blocks import SIDE, assembly, box, cells
 
 STAND = (0.03, 0.03)
@@ -132,6 +132,23 @@ def test_friction_across_the_axes_is_a_pyramid(cell: Cell, solver: str, azimuth:
 def test_the_factor_on_friction_is_the_factor_on_friction(cell: Cell, factor: float, slope: float, stays: bool) -> None:
     """tan 14.0 deg = 0.25, tan 45 deg = 1."""
     assert (slides(cell, Physics(friction=factor), slope, 0.0).max() < 0.2) == stays
+
+
+@pytest.mark.parametrize(("slope_deg", "slips"), [(20.0, False), (28.0, True)])
+def test_contacts_of_what_slips_form_anew(cell: Cell, monkeypatch: pytest.MonkeyPatch, slope_deg: float, slips: bool) -> None:
+    block = cells([(0, 0, 0), (1, 0, 0)], "block")
+    pose = make_transform(translation=(0.0, 0.25, -block.vertices[:, 2].min() - block.clearance))
+    with running(cell, assembly([block], [(0, 0, 0)]), {"block": pose}) as world:
+        run(world, 0.05)
+        slope, renewed = np.deg2rad(slope_deg), list[int]()
+        p.setGravity(GRAVITY * np.sin(slope), 0.0, -GRAVITY * np.cos(slope), physicsClientId=world.client)
+        renew = p.setCollisionFilterGroupMask
+        spy = lambda body, *args, **named: (renewed.append(body), renew(body, *args, **named))  # noqa: E731
+        monkeypatch.setattr(p, "setCollisionFilterGroupMask", spy)
+        for _ in range(round(2.5 * SLIPS_EVERY / world.physics.dt)):
+            world.step()
+            assert world.contacts()
+    assert renewed == ([world.pieces["block"]] * 2 if slips else [])
 
 
 def test_friction_is_the_geometric_mean_of_two_bodies(cell: Cell) -> None:
