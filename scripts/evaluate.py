@@ -219,7 +219,8 @@ def table(summary: dict[str, Any], arguments: Arguments) -> Table:
     names = {
         "error_mm": "error of a piece [mm]", "error_deg": "error of a piece [deg]", "slip_mm": "slip in a grasp [mm]",
         "slip_deg": "slip in a grasp [deg]", "drift_mm": "drift while held [mm]", "peak_n": "peak force of a placing [N]",
-        "makespan_s": "makespan [s, simulated]", "saved_percent": "planned makespan saved by working together [%]",
+        "makespan_s": "makespan [s, simulated]", "saved_percent": "saved of one arm at a time at its best [%]",
+        "saved_of_scheduled_percent": "saved of one arm at a time as scheduled [%]",
     }  # fmt: skip
     for key, name in names.items():
         rows.add_row(escape(name), *_cells(summary["executed"][key]))

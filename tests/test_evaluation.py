@@ -63,8 +63,8 @@ def canned(seed: int, options: EvaluationOptions) -> Line:
         "slips": [{"slip_mm": numbers[2], "slip_deg": 0.1}], "holds": [], "insertions": [{"peak_n": numbers[3]}],
         "forbidden": [], "events": [{"time": 1.0, "kind": "jammed", "piece": "A", "text": ""}], "retries": 1,
         "recoveries": int(seed == 0), "makespan_s": 20.0 + seed,
-        "planned_s": {"together": 15.0 + seed, "one at a time": 20.0 + seed}, "log_sha256": f"{seed:064x}",
-        "wall_s": {"execution": 1.0},
+        "planned_s": {"together": 15.0 + seed, "one at a time": 20.0 + seed, "as scheduled": 30.0 + seed},
+        "log_sha256": f"{seed:064x}", "wall_s": {"execution": 1.0},
     }  # fmt: skip
 
 
@@ -413,6 +413,7 @@ def test_the_summary_counts() -> None:
     assert summary["successful"]["error_mm"]["count"] == 4 and summary["executed"]["drift_mm"] == {"count": 0}
     assert summary["executed"]["makespan_s"]["max"] == 25.0
     assert summary["executed"]["saved_percent"]["max"] == pytest.approx(100 * 5 / 20, abs=1e-3)
+    assert summary["executed"]["saved_of_scheduled_percent"]["max"] == pytest.approx(100 * 15 / 30, abs=1e-3)
     json.dumps(summary, allow_nan=False)
 
 

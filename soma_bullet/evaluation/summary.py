@@ -21,6 +21,8 @@ MEASURED = {
     "grip_n": ("holds", "grip_n"),
     "peak_n": ("insertions", "peak_n"),
 }
+# name in the summary: planned makespan that working together is compared with; see EpisodeReport
+SAVED = {"saved_percent": "one at a time", "saved_of_scheduled_percent": "as scheduled"}
 
 
 def summarise(lines: Sequence[Line]) -> dict[str, Any]:
@@ -57,9 +59,12 @@ def _numbers(lines: Sequence[Line]) -> dict[str, Any]:
         for name, (group, key) in MEASURED.items()
     }
     planned = [line["planned_s"] for line in lines if "together" in line.get("planned_s", ())]
-    saved = [100.0 * (1.0 - times["together"] / times["one at a time"]) for times in planned]
+    saved = {
+        name: _spread([100.0 * (1.0 - times["together"] / times[against]) for times in planned if against in times])
+        for name, against in SAVED.items()
+    }
     makespans = [line["makespan_s"] for line in lines if "makespan_s" in line]
-    return {**spreads, "makespan_s": _spread(makespans), "saved_percent": _spread(saved)}
+    return {**spreads, "makespan_s": _spread(makespans), **saved}
 
 
 def _walls(lines: Sequence[Line]) -> dict[str, Any]:

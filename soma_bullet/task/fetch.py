@@ -21,7 +21,7 @@ from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.task.assignments import HandOver, Pick, PutDown, Regrasp, Square
 from soma_bullet.task.feed import Feed
 from soma_bullet.task.grasps import grasp_table
-from soma_bullet.task.regrasp import GraspGraph
+from soma_bullet.task.regrasp import GraspGraph, grasp_graph
 from soma_bullet.task.spots import comfort, free_places, meeting_poses, spread
 from soma_bullet.task.squaring import SQUARE, level_axes, square_key, squaring_grips, squeezing_grips
 from soma_bullet.task.tracing import APPROACH, LIFT, UP, Grip, Mover, Tracer
@@ -82,15 +82,12 @@ class Fetcher:
         self.moved: frozenset[str] = frozenset()  # pieces that are no longer where the feed has them, but exactly somewhere
         self.workcell, self.robot = tracer.workcell, tracer.robot
         self.hand = self.workcell.cell.arms[0].hand
-        self._graphs: dict[str, GraspGraph] = {}
         self._memory: dict[tuple[object, ...], object] = {}
 
     def graph(self, piece: str) -> GraspGraph:
         """The grasp graph of a piece."""
-        if piece not in self._graphs:
-            assembly = self.workcell.assembly
-            self._graphs[piece] = GraspGraph(assembly.pieces[assembly.index(piece)], grasp_table(self.plan, piece), self.hand)
-        return self._graphs[piece]
+        assembly = self.workcell.assembly
+        return grasp_graph(assembly.pieces[assembly.index(piece)], grasp_table(self.plan, piece), self.hand)
 
     def _once(self, key: tuple[object, ...], make: Callable[[], T]) -> T:
         if key not in self._memory:

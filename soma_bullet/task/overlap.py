@@ -41,9 +41,10 @@ AT_PIECE = ("approach", "grasp", "settle", "release", "follow")
 
 
 def overlapped(workcell: Workcell, program: Program) -> Program:
-    """The same program, every segment waiting for no more than it must; `alone` is the best that is known without that."""
+    """The same program, every segment waiting for no more than it must, with what it takes one arm at a time."""
     patient = _patient(workcell, program)
-    return replace(_Loosener(workcell, patient).run(), alone=min(program.makespan, patient.makespan))
+    in_turn = program.makespan
+    return replace(_Loosener(workcell, patient).run(), alone=min(in_turn, patient.makespan), in_turn=in_turn)
 
 
 def _patient(workcell: Workcell, program: Program) -> Program:

@@ -8,6 +8,7 @@ hand-over from grasp to grasp.
 from __future__ import annotations
 
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -66,3 +67,14 @@ class GraspGraph:
         angle = np.arccos(np.clip((np.max(traces, axis=0) - 1) / 2, -1, 1))
         k = int(np.argmin(np.round(distance / 0.01 + angle / 0.3, 9)))
         return k, float(distance[k]), float(angle[k])
+
+
+_GRAPHS: WeakKeyDictionary[GraspTable, GraspGraph] = WeakKeyDictionary()
+
+
+def grasp_graph(piece: Workpiece, table: GraspTable, hand: Hand) -> GraspGraph:
+    """The graph of a piece, its table and a hand: one for all searches of a plan."""
+    graph = _GRAPHS.get(table)
+    if graph is None or graph.piece is not piece or graph.hand is not hand:
+        graph = _GRAPHS[table] = GraspGraph(piece, table, hand)
+    return graph

@@ -117,7 +117,9 @@ class Program:
         T_world_assembly: (4, 4).
         stand: footprint of the stand [m].
         start: what it goes on from; None begins with all pieces in the feed.
-        alone: planned duration of the same work with one arm at a time [s]; NaN where that was not asked.
+        alone: planned duration of the same work with one arm at a time [s], ways home left out or put off where that is free;
+            NaN where that was not asked.
+        in_turn: planned duration of the schedule as it was, one segment at a time [s]; NaN where that was not asked.
     """
 
     cell: str
@@ -133,6 +135,7 @@ class Program:
     stand: tuple[float, float]
     start: Start | None = None
     alone: float = np.nan
+    in_turn: float = np.nan
 
     @property
     def makespan(self) -> float:

@@ -6,6 +6,7 @@ import hashlib
 import itertools
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,7 @@ from soma_bullet.task.builder import scene_of
 from soma_bullet.task.feed import FeedOptions, draw_feed, steady_poses
 from soma_bullet.task.grasps import grasp_poses, grasp_table
 from soma_bullet.task.program import make_program
-from soma_bullet.task.regrasp import GraspGraph
+from soma_bullet.task.regrasp import GraspGraph, grasp_graph
 from soma_bullet.task.segments import MOTIONS, Program, contexts
 from soma_bullet.task.workcell import Workcell
 
@@ -57,6 +58,16 @@ def case(request: pytest.FixtureRequest) -> tuple[Workcell, AssemblyPlan, Progra
 
 
 # --- the graph -----------------------------------------------------------------------------------------------------------
+
+
+def test_searches_of_a_plan_share_the_graph(soma3: Assembly, put_down: tuple[Workcell, AssemblyPlan, Program]) -> None:
+    workcell, plan, _ = put_down
+    hand, tables = workcell.cell.arms[0].hand, [grasp_table(plan, name) for name in soma3.names]
+    graphs = [grasp_graph(piece, table, hand) for piece, table in zip(soma3.pieces, tables, strict=True)]
+    assert len(set(graphs)) == 3
+    assert grasp_graph(soma3.pieces[0], tables[0], hand) is graphs[0]
+    wider = grasp_graph(soma3.pieces[0], tables[0], replace(hand, opening=2 * hand.opening))
+    assert wider is not graphs[0] and wider.hand.opening == 2 * hand.opening
 
 
 def test_hands_together_is_mutual_and_never_with_oneself(soma3: Assembly, plan: AssemblyPlan, cell: Cell) -> None:
@@ -186,6 +197,7 @@ def test_a_program_with_regrasps_is_read_back(case: tuple[Workcell, AssemblyPlan
 
 FRESH = """
 import sys
+from dataclasses import replace
 from pathlib import Path
 from soma_bullet.records import write_npz
 from soma_bullet.robot.cell import load_cell
