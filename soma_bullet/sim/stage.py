@@ -66,9 +66,6 @@ TABLE_FRICTION = 0.5
 # rounding parts them, and the other pad then kicks the piece; what is pinched gets forces that grow with the solver's passes.
 # With a quarter of the damping a piece that leans lightly on another bounces for ever, and creeps.
 STIFFNESS, DAMPING = 5e5, 4e3  # [N/m], [N s/m] of one body's contact
-# Table and stand give way more. What a hand holds down on them then bears on several corners; on harder ones it rocks from
-# corner to corner by hundredths of a millimetre, and creeps.
-FIXTURE_STIFFNESS = 1e5  # [N/m]
 POINT_STIFFNESS = 5e6  # [N/m] of a body that is not made of boxes: one point may carry what else four corners share
 TORSION = 1e-3  # [m] lever at which a body resists turning about a contact's normal, half of what two have that touch: where
 # faces meet the simulator may list a single corner, on which a piece would spin under the least push
@@ -192,7 +189,7 @@ class Stage:
             self.fixtures[name] = p.createMultiBody(
                 0, shape, basePosition=[float(v) for v in centre], physicsClientId=self.client
             )
-            self._surface(self.fixtures[name], -1, np.sqrt(friction * self.physics.friction), stiffness=FIXTURE_STIFFNESS)
+            self._surface(self.fixtures[name], -1, np.sqrt(friction * self.physics.friction))
 
     def touches_flat(self, piece: str) -> bool:
         """Whether Bullet finds all corners of its contact with a pad at once, as between boxes; else point after point."""
