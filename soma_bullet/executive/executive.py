@@ -167,6 +167,8 @@ class Executive:
                     except StopIteration as stop:  # it does not even begin
                         trouble = self._after(program, k, ready, stop.value)
                         continue
+                    if following.kind == "grasp":  # a hand that closes on a piece is about to carry it
+                        self.gripped[arm] = following.piece
                     self.executor.begin(following)
                     running[arm] = (k, detour)
             if not running:
@@ -246,9 +248,7 @@ class Executive:
             return _Trouble(k, segment, seen, "turned in the hand")
         if seen.outcome in ("jammed", "lost") and not self.ablate:
             return _Trouble(k, segment, seen, f"{seen.outcome} in {segment.kind}")
-        if segment.kind == "grasp":
-            self.gripped[segment.arm] = segment.piece
-        elif segment.kind == "place":
+        if segment.kind == "place":
             self.placed.append(segment.piece)
         elif segment.kind == "retreat":
             self.gripped.pop(segment.arm, None)
