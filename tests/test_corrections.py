@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
 
@@ -88,6 +89,19 @@ def test_not_while_the_other_hand_carries_too() -> None:
     executive.gripped[1 - segment.arm] = executive.plan.order[-1]
     bent = corrected(executive, segment).segment
     assert ends_at_goal(executive, bent, NOTHING, turn)[1] < ends_at_goal(executive, segment, NOTHING, turn)[1]
+
+
+def test_a_hand_that_closes_counts_as_carrying() -> None:
+    executive, segment = before_placing(NOTHING, NOTHING)
+    grasp = next(s for s in executive.program.segments if s.kind == "grasp" and s.arm != segment.arm)
+
+    def interrupted() -> None:
+        raise InterruptedError
+
+    executive.executor.begin, executive.executor.tick = lambda segment: None, interrupted  # type: ignore[method-assign]
+    with pytest.raises(InterruptedError):
+        executive._run(replace(executive.program, segments=(grasp,), after=((),)))
+    assert executive.gripped == {segment.arm: segment.piece, grasp.arm: grasp.piece}
 
 
 def test_a_piece_that_is_seen_far_away_is_lost() -> None:
