@@ -20,7 +20,8 @@ LARGEST_CHANGE = np.array((0.02, 0.02, 0.02, 0.12, 0.12, 0.12))  # [rad] of each
 UTMOST_CHANGE = 5 * LARGEST_CHANGE  # the same where nothing else is left to do
 TURNED_DEG = 1.5  # [deg] that a correction may leave; a piece that has turned farther in the hand is planned with anew
 SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)  # of a correction, the first of which leaves the arms apart is made
-APART = 3e-3  # [m] between arms that no correction takes away; where less was planned, half of that
+# [m] room between arms that no correction takes away; where less was planned, all but so much of that, or half
+APART, NEARER = 3e-3, 1e-3
 BEND = 0.3  # of a placing, over which its path is bent to where the piece is seen in the hand
 
 
@@ -90,8 +91,8 @@ def correct(segment: Segment, off: Displacement, arms: Beside, q: Array, utmost:
     change = segment.compliance @ np.concatenate([off.shift, off.turn])
     largest = 1.0 / max(1.0, *(np.abs(change) / (UTMOST_CHANGE if utmost else LARGEST_CHANGE)))
     ramp = np.clip(np.linspace(0.0, 1.0 / BEND, len(segment.path)), 0.0, 1.0)[:, None]
-    planned = arms.gap(segment.path, APART)
-    kept = min(APART, planned / 2 if planned > 0.0 else planned)
+    planned = arms.gap(segment.path, APART + NEARER)
+    kept = min(APART, max(planned / 2, planned - NEARER) if planned > 0.0 else planned)
     for share in largest * np.array(SHARES):
         path = segment.path + ramp * share * change
         if arms.gap(path, kept) >= kept:

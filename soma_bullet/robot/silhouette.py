@@ -10,8 +10,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from soma_bullet.frames import Array
-from soma_bullet.robot.collision import CollisionModel
+from soma_bullet.frames import Array, Mask
+from soma_bullet.robot.collision import HAND_MARGIN, MARGIN, CollisionModel
 from soma_bullet.robot.kinematics import Robot
 
 SAME_PLACE = 5e-3  # [m] shapes of an obstacle of which no point is farther from its like than this are one
@@ -19,13 +19,15 @@ SAME_PLACE = 5e-3  # [m] shapes of an obstacle of which no point is farther from
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Shapes in the world: rotations (n, 3, 3), origins (n, 3) [m], centres (n, 3) and radii (n,) [m] of balls around them."""
+    """Shapes in the world: rotations (n, 3, 3), origins (n, 3) [m], centres (n, 3) and radii (n,) [m] of balls around them,
+    and which (n,) are links of the arm, not of its hand or of what that carries."""
 
     shapes: Sequence[coal.CollisionGeometry]
     rotations: Array
     origins: Array
     centres: Array
     radii: Array
+    links: Mask
     _known: dict[int, coal.Transform3s] = field(default_factory=dict)
 
     def place(self, k: int) -> coal.Transform3s:
@@ -43,6 +45,7 @@ class Silhouette:
         objects = model.geometry.geometryObjects
         mine = [objects[k] for k, owner in enumerate(model.arm_of) if owner == arm]
         self.shapes = [shape.geometry for shape in mine]
+        bodies = [body for body, owner in zip(model.bodies, model.arm_of, strict=True) if owner == arm]
         mounts = [(int(shape.parentJoint), pin.SE3(shape.placement)) for shape in mine]
         if carried is not None:
             name, T_tcp_piece = carried
@@ -50,6 +53,8 @@ class Silhouette:
             for k, place in model.piece_shapes[name]:
                 self.shapes.append(objects[k].geometry)
                 mounts.append((joint, tcp * pin.SE3(np.array(T_tcp_piece)) * place))
+        self.links = np.arange(len(self.shapes)) < len(mine)
+        self.links[: len(mine)] = [body not in model.hand_links for body in bodies]
         for shape in self.shapes:
             shape.computeLocalAABB()
         self._chain = Chain(self.robot, arm)
@@ -83,7 +88,7 @@ class Silhouette:
         rotations, origins = self._chain.places(path)
         frames, starts = rotations[:, self._parents], origins[:, self._parents]
         places, centres = ((frames @ points)[..., 0] + starts for points in self._points)
-        return Track(self.shapes, frames @ self._rotations, places, centres, self.radii)
+        return Track(self.shapes, frames @ self._rotations, places, centres, self.radii, self.links)
 
 
 class Chain:
@@ -116,19 +121,20 @@ class Chain:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Shapes along a path of n states: rotations (n, m, 3, 3), origins and centres (n, m, 3) [m], radii (m,) [m]."""
+    """Shapes along a path of n states: rotations (n, m, 3, 3), origins and centres (n, m, 3) [m], radii and links (m,)."""
 
     shapes: Sequence[coal.CollisionGeometry]
     rotations: Array
     origins: Array
     centres: Array
     radii: Array
+    links: Mask
     _known: dict[int, Placed] = field(default_factory=dict)
 
     def at(self, k: int) -> Placed:
         """The shapes at one state."""
         if k not in self._known:
-            self._known[k] = Placed(self.shapes, self.rotations[k], self.origins[k], self.centres[k], self.radii)
+            self._known[k] = Placed(self.shapes, self.rotations[k], self.origins[k], self.centres[k], self.radii, self.links)
         return self._known[k]
 
     @cached_property
@@ -142,12 +148,23 @@ class Track:
 
 def distance(first: Placed, second: Placed, enough: float) -> float:
     """Distance [m] between two placed arms, or a bound on it above `enough`."""
-    bounds = _bounds(first, second)
+    return _nearest(first, second, enough, np.zeros((len(first.shapes), len(second.shapes))))
+
+
+def _nearest(first: Placed, second: Placed, enough: float, less: Array) -> float:
+    """Least distance [m], that of each pair (n, m) less so much, or a bound on it above `enough`."""
+    bounds = _bounds(first, second) - less
     nearest = float(bounds[bounds > enough].min(initial=np.inf))
     for i, j in np.argwhere(bounds <= enough).tolist():
         if bounds[i, j] < nearest:
-            nearest = min(nearest, apart(first, second, i, j))
+            nearest = min(nearest, apart(first, second, i, j) - less[i, j])
     return nearest
+
+
+def room(first: Placed, second: Placed, enough: float) -> float:
+    """The same where a link of an arm counts as nearer than a hand by what it keeps more (see `collision`)."""
+    more = np.where(first.links[:, None] | second.links, MARGIN - HAND_MARGIN, 0.0)
+    return _nearest(first, second, enough, more)
 
 
 def apart(first: Placed, second: Placed, i: int, j: int) -> float:

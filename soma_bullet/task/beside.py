@@ -57,7 +57,7 @@ class Beside:
         self.later = [sweep for i, sweep in sweeps.items() if i in after]
 
     def gap(self, path: Array, enough: float) -> float:
-        """Least distance [m] to the other arms along a path (n, 6) and at its end, or a bound on it above `enough`."""
+        """Least room [m] to the other arms along a path (n, 6) and at its end, or a bound on it above `enough`; see `gap`."""
         own = self.own.along(path)
         last = own.still(len(path) - 1)
         pairs = [*((own, other) for other in self.others), *((last, other) for other in self.later)]

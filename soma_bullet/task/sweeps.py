@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from soma_bullet.frames import Array
-from soma_bullet.robot.silhouette import Placed, Silhouette, Track, apart, distance
+from soma_bullet.robot.silhouette import Placed, Silhouette, Track, apart, room
 from soma_bullet.task.segments import Context, Segment
 from soma_bullet.task.workcell import Workcell
 
@@ -108,9 +108,12 @@ def meet(first: Sweep, second: Sweep) -> bool:
 
 
 def gap(first: Sweep, second: Sweep, enough: float) -> float:
-    """Least distance [m] of two arms, SAMPLED along their paths, whatever their timing; or a bound on it above `enough`."""
+    """Least room [m] between two arms, SAMPLED along their paths, whatever their timing; or a bound on it above `enough`.
+
+    That is their distance, and that of an arm's link less what links keep more than hands.
+    """
     ones, twos = ([sweep.at(k) for k in sweep.marks(SAMPLED)] for sweep in (first, second))
-    return min(distance(one, two, enough) for one in ones for two in twos)
+    return min(room(one, two, enough) for one in ones for two in twos)
 
 
 def _reach(arcs: Array, ends: Array, middles: Array) -> Array:
