@@ -235,7 +235,7 @@ def test_the_wrist_feels_what_a_gripped_piece_stands_on(cell: Cell, robot: Robot
             return sum(force for a, b, force, _ in world.contacts() if (world.fixtures["table"], -1) in (a, b))
 
         tare, before = world.wrench(0), carried()
-        pressed = q - np.linalg.pinv(robot.jacobian(0, q)) @ (0.0, 0.0, 4e-4, 0.0, 0.0, 0.0)
+        pressed = q - np.linalg.pinv(robot.jacobian(0, q)) @ (0.0, 0.0, 2e-4, 0.0, 0.0, 0.0)
         for k in range(240):
             world.command_arm(0, q + (pressed - q) * min(1.0, k / 200))
             world.step()
