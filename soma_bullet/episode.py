@@ -37,6 +37,7 @@ from soma_bullet.sim.world import World
 from soma_bullet.task.feed import Feed, FeedOptions, draw_feed, misplace
 from soma_bullet.task.overlap import overlapped
 from soma_bullet.task.program import make_program
+from soma_bullet.task.schedule import Scheduler
 from soma_bullet.task.segments import Program
 from soma_bullet.task.workcell import Workcell
 
@@ -252,13 +253,17 @@ def _plan_and_program(
     assembly: Assembly, workcell: Workcell, plan: AssemblyPlan, options: EpisodeOptions, progress: Progress
 ) -> tuple[AssemblyPlan, Program]:
     """The best order that has a schedule: an order without one is ruled out, and the next best is tried."""
-    orders, reasons = set[tuple[str, ...]](), Counter[str]()
+    orders, schedulers, reasons = set[tuple[str, ...]](), dict[tuple[str, ...], Scheduler](), Counter[str]()
     for candidate, effort in _candidates(assembly, workcell.cell.arms[0].hand, plan):
         orders.add(candidate.order)
         try:
-            feed = draw_feed(assembly, candidate, workcell.cell, options.seed, options.feed)
+            if candidate.order not in schedulers:
+                feed = draw_feed(assembly, candidate, workcell.cell, options.seed, options.feed)
+                schedulers[candidate.order] = Scheduler(workcell, candidate, feed)
+            scheduler = schedulers[candidate.order]
+            scheduler.effort = effort
             say = lambda reason: progress(reason, 0.0)  # noqa: E731
-            return candidate, make_program(workcell, candidate, feed, options.seed, say, effort=effort)
+            return candidate, make_program(workcell, candidate, scheduler.feed, options.seed, say, scheduler=scheduler)
         except NoSolutionError as error:
             reasons += error.reasons or Counter({error.summary: 1})
     raise NoSolutionError("schedule", f"none of the {len(orders)} best orders of {assembly.name} has a schedule", reasons)

@@ -25,6 +25,7 @@ SEATED = 0.35e-3  # [m] a guided motion that meets resistance nearer to its end 
 EMPTY = 2e-3  # [m] pads nearer to each other than a piece's width less this hold nothing
 WATCH = 5  # samples between looks at the width of a hand that carries
 FALL, LOWERING = 1e-3, 8e-3  # [m], [m/s] of the last way straight down
+TOUCH = 0.3  # [N] that ends it: pressed on with more, what the hand holds pivots in it
 NARROW = 0.5e-3  # [m] largest radius of a search on that way
 RESTING, EASING = 0.15, 2e-3  # [N] with which a piece rests that the hand does not press on, [m/s] of going back to it
 SLOW = 0.25  # [s] over which a guided motion takes up its speed again
@@ -149,12 +150,13 @@ class Travel:
     def _lowered(
         self, segment: Segment, motion: Motion, compliance: Compliance, tare: Array, start: Array, fall: float
     ) -> Steps:
-        """Go on the last way by `fall` [m], and beyond until something is met."""
+        """Go on the last way by `fall` [m], and beyond until something is met, however lightly."""
+        lightly = replace(segment, guard=min(segment.guard, TOUCH))
         down, step = segment.last_way, LOWERING * DT
         guide = Guide(down, replace(compliance, reach=min(compliance.reach, NARROW)))
         motion.outcome = "as planned"
         yield from self._feel(
-            segment, motion, guide, tare, (fall + segment.beyond) / step,
+            lightly, motion, guide, tare, (fall + segment.beyond) / step,
             lambda at, g: start + segment.compliance[:, :3] @ (down * at * step + g.offset),  # it turns no more
             lambda at: max(fall - at * step, 0.0),
         )  # fmt: skip

@@ -14,6 +14,8 @@ from soma_bullet.robot.model import Cell
 from soma_bullet.sim.quiet import pybullet as p
 from soma_bullet.sim.stage import Physics, Stage
 
+Vector = tuple[float, float, float]
+
 CLOSING_SPEED, OPENING_SPEED = 0.05, 0.1  # [m/s]
 SETTLED = 8  # iterations of the solver in which a finger's motor reaches its limit
 SLIPS_EVERY = 0.5  # [s] between looks for contacts that have slipped; more often, and what is pinched creeps
@@ -162,36 +164,43 @@ class World(Stage):
         It is summed from the contacts of the hand and its weight. Bullet's own sensor leaves out the impulses of the gear that
         couples the fingers: it is wrong by up to all of a force along the closing axis. Inertia is left out.
         """
-        body, links = self.robots[arm], self.hand_links[arm]
-        states = p.getLinkStates(body, links, physicsClientId=self.client)
-        places = [state[0] for state in states]
-        forces = [(0.0, 0.0, -self.physics.gravity * mass) for mass in self.hand_masses[arm]]
-        for row in self._contacts_now():
-            for sign, side in ((1.0, 1), (-1.0, 2)):
-                if row[side] == body and row[side + 2] in links:
-                    places.append(row[side + 4])
-                    normal, first, second = sign * row[9], sign * row[10], sign * row[12]
-                    (nx, ny, nz), (ux, uy, uz), (vx, vy, vz) = row[7], row[11], row[13]
-                    forces.append(
-                        (
-                            normal * nx + first * ux + second * vx,
-                            normal * ny + first * uy + second * vy,
-                            normal * nz + first * uz + second * vz,
-                        )
-                    )
-        on, (x, y, z) = np.array(forces).T, (np.array(places) - states[0][4]).T  # the first link is the mount
-        torques = np.array((y * on[2] - z * on[1], z * on[0] - x * on[2], x * on[1] - y * on[0]))
-        return -(np.array((on.sum(1), torques.sum(1))) @ _rotation(states[0][5])).ravel()
+        force, torque, _, quat_xyzw = self._on_hand(arm)
+        return -(np.array((force, torque)) @ _rotation(quat_xyzw)).ravel()
 
     def load(self, arm: int) -> Array:
         """Force on the hand [N], and torque about its centre between the pads [N m], as the wrist feels them (6,).
 
         Weight is included. In the axes of the world its force stays the same when the hand turns.
         """
-        wrench, axes = self.wrench(arm), self.wrist_axes(arm)
-        force = -axes @ wrench[:3]
-        lever = np.array(p.getLinkState(self.robots[arm], self.wrists[arm], physicsClientId=self.client)[4])
-        return np.concatenate([force, -axes @ wrench[3:] + np.cross(lever - self.tcp_place(arm)[:3], force)])
+        force, torque, mount, _ = self._on_hand(arm)
+        centre = self.tcp_place(arm)
+        moment = _cross([m - c for m, c in zip(mount, centre, strict=False)], force)
+        return np.array((*force, *(t + m for t, m in zip(torque, moment, strict=True))))
+
+    def _on_hand(self, arm: int) -> tuple[Vector, Vector, Vector, tuple[float, ...]]:
+        """Force on a hand [N], torque about its mount [N m], place [m] and quaternion (x, y, z, w) of that, in the world."""
+        body, links = self.robots[arm], self.hand_links[arm]
+        states = p.getLinkStates(body, links, physicsClientId=self.client)
+        mount, quat_xyzw = states[0][4:6]  # the first link is the mount
+        mx, my, mz = mount
+        fx = fy = fz = tx = ty = tz = 0.0
+        for (x, y, _), mass in zip((state[0] for state in states), self.hand_masses[arm], strict=True):
+            weight = -self.physics.gravity * mass
+            fz, tx, ty = fz + weight, tx + (y - my) * weight, ty - (x - mx) * weight
+        for row in self._contacts_now():
+            for sign, side in ((1.0, 1), (-1.0, 2)):
+                if row[side] == body and row[side + 2] in links:
+                    normal, first, second = sign * row[9], sign * row[10], sign * row[12]
+                    (nx, ny, nz), (ux, uy, uz), (vx, vy, vz) = row[7], row[11], row[13]
+                    gx, gy, gz = (
+                        normal * nx + first * ux + second * vx,
+                        normal * ny + first * uy + second * vy,
+                        normal * nz + first * uz + second * vz,
+                    )
+                    x, y, z = row[side + 4]
+                    lx, ly, lz = _cross((x - mx, y - my, z - mz), (gx, gy, gz))
+                    fx, fy, fz, tx, ty, tz = fx + gx, fy + gy, fz + gz, tx + lx, ty + ly, tz + lz
+        return (fx, fy, fz), (tx, ty, tz), mount, quat_xyzw
 
     def wrist_axes(self, arm: int) -> Array:
         """Axes (3, 3) of a hand's mount frame in the world."""
@@ -248,10 +257,16 @@ class World(Stage):
         found: dict[tuple[tuple[int, int], tuple[int, int]], tuple[float, float]] = {}
         self._contact_rows = p.getContactPoints(physicsClientId=self.client)
         for row in self._contact_rows:
-            key = tuple(sorted(((row[1], row[3]), (row[2], row[4]))))
-            force, distance = found.get(key, (0.0, np.inf))  # type: ignore[arg-type]
-            found[key] = (force + row[9], min(distance, row[8]))  # type: ignore[index]
+            one, two = (row[1], row[3]), (row[2], row[4])
+            key = (one, two) if one < two else (two, one)
+            force, distance = found.get(key, (0.0, np.inf))
+            found[key] = (force + row[9], min(distance, row[8]))
         return [(a, b, force, distance) for (a, b), (force, distance) in found.items()]
+
+
+def _cross(a: Sequence[float], b: Sequence[float]) -> Vector:
+    """Of two vectors; numpy takes ten times as long for so few numbers."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 def _rotation(quat_xyzw: Sequence[float]) -> Array:

@@ -163,6 +163,10 @@ class Fetcher:
 
     def pick(self, view: View, pose: Array, arm: int, grip: Grip) -> Pick | None:
         """How an arm picks the piece at a pose, the other arms being where they are."""
+        key = ("pick beside", *view.key, pose is view.source, pose.tobytes(), arm, grip.T_piece_tcp.tobytes())
+        return self._once(key, lambda: self._pick(view, pose, arm, grip))
+
+    def _pick(self, view: View, pose: Array, arm: int, grip: Grip) -> Pick | None:
         hands = view.hands.gripping(arm, view.piece)
         for approach, lift in self.picks_alone(view, pose, arm, grip):
             arriving, leaving = self._pick_movers(view, hands, pose, arm, grip)
@@ -286,6 +290,12 @@ class Fetcher:
 
     def _places(self, view: View, rest: int, arm: int, grip: Grip, before: tuple[Action, ...]) -> list[tuple[Array, int, Grip]]:
         """Where one resting pose can go, who brings it and how: the most comfortable for both hands, and near, first."""
+        key = ("brought", *view.key, rest, arm, grip.T_piece_tcp.tobytes(), before)
+        return self._once(key, lambda: self._placings(view, rest, arm, grip, before))
+
+    def _placings(
+        self, view: View, rest: int, arm: int, grip: Grip, before: tuple[Action, ...]
+    ) -> list[tuple[Array, int, Grip]]:
         poses = self.places(view, rest)
         if not len(poses):
             self.tracer.reject(view.piece, "no free place on the table")

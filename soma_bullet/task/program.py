@@ -39,9 +39,12 @@ def make_program(
     seed: int,
     progress: Callable[[str], None] | None = None,
     start: Start | None = None,
-    effort: float = 1.0,
+    scheduler: Scheduler | None = None,
 ) -> Program:
     """Schedule and trajectories of a plan, from the beginning or from a state as found.
+
+    Args:
+        scheduler: of the same plan, feed and start, which has searched before: what it knows is not found again.
 
     A motion that cannot be found rules out exactly its step, arm and grasp, or this way to regrasp, and the search of the
     schedule goes on.
@@ -49,7 +52,7 @@ def make_program(
     Raises:
         NoSolutionError: with what blocked, most frequent first.
     """
-    scheduler = Scheduler(workcell, plan, feed, start, effort)
+    scheduler = scheduler or Scheduler(workcell, plan, feed, start)
     while True:
         schedule = scheduler.find()
         try:

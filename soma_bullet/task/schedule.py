@@ -33,12 +33,12 @@ MOST_LINES = 36_000  # of hands made or checked in all rounds together, about 25
 class Scheduler:
     """Searches schedules of one plan, feed and cell, from the beginning or from a state as found.
 
-    Args:
+    Attributes:
         effort: how long a search may take, in units of MOST_LINES.
     """
 
-    def __init__(self, workcell: Workcell, plan: AssemblyPlan, feed: Feed, start: Start | None = None, effort: float = 1.0):
-        self.workcell, self.plan, self.feed, self.start, self.effort = workcell, plan, feed, start, effort
+    def __init__(self, workcell: Workcell, plan: AssemblyPlan, feed: Feed, start: Start | None = None):
+        self.workcell, self.plan, self.feed, self.start, self.effort = workcell, plan, feed, start, 1.0
         self.rejections: Counter[str] = Counter()
         self.excluded: set[tuple[object, ...]] = set()
         self._effort = Effort()
