@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from soma_bullet.assembly.model import Assembly
-from soma_bullet.frames import Array, make_transform
+from soma_bullet.frames import Array, apply, inverse, make_transform
 from soma_bullet.robot.model import Cell
 from soma_bullet.sim.quiet import pybullet as p
 from soma_bullet.sim.stage import Physics, Stage
@@ -18,13 +18,19 @@ Vector = tuple[float, float, float]
 
 CLOSING_SPEED, OPENING_SPEED = 0.05, 0.1  # [m/s]
 SETTLED = 8  # iterations of the solver in which a finger's motor reaches its limit
-SLIPS_EVERY = 0.5  # [s] between looks for contacts that have slipped; more often, and what is pinched creeps
+DRIVES_EVERY = 0.25  # [s] between looks for contacts whose friction drives what it should stop
 SLIPPED = 0.97  # of the most that friction can hold: there two bodies slip
+NEGLIGIBLE = 1e-6  # [N] of friction
+DRIVEN = 1e-5  # [m/s] along its friction at which a contact that slips drives
 FORMING = 2  # steps in which the contacts of a pad form anew: the fingers stand still in the first and close slowly in the next
 
 
 class World(Stage):
-    """A stage whose clock runs. It is told joint targets and hand commands, nothing else."""
+    """A stage whose clock runs. It is told joint targets and hand commands, nothing else.
+
+    Attributes:
+        last_looked: `places_of_pieces` at the last look for contacts that drive.
+    """
 
     def __init__(
         self,
@@ -36,7 +42,8 @@ class World(Stage):
         physics: Physics,
     ):
         super().__init__(cell, assembly, stand, poses, home, physics)
-        self.steps, self._slips_every = 0, round(SLIPS_EVERY / physics.dt)
+        self.steps, self._looks_every = 0, round(DRIVES_EVERY / physics.dt)
+        self.last_looked: Array | None = None
         self._efforts = [arm.effort.tolist() for arm in cell.arms]
         self._squeezing = [0.0] * len(cell.arms)  # [N]
         self._forming = [0] * len(cell.arms)  # steps until the contacts of a hand's pads have formed anew
@@ -107,8 +114,8 @@ class World(Stage):
 
     def step(self) -> None:
         """One time step with the current commands."""
-        if self.steps % self._slips_every == 0:
-            self._forget_slips()
+        if self.steps % self._looks_every == 0:
+            self.forget_what_drives()
         p.stepSimulation(physicsClientId=self.client)
         self._contact_rows = None
         self.steps += 1
@@ -117,26 +124,33 @@ class World(Stage):
                 self._forming[arm] = steps - 1
                 self.squeeze(arm, self._squeezing[arm])
 
-    def _forget_slips(self) -> None:
-        """Let the contacts of pieces that slip on something, and that no pad touches, form anew in the next step.
+    def forget_what_drives(self) -> None:
+        """Let the contacts of pieces that friction drives, and that no pad touches, form anew in the next step.
 
         Bullet's anchored contact pulls towards where it formed, and lets go where its friction exceeds the limit: that of one
         which slips is at the limit, and exceeds it by rounding alone. It goes on pulling with all its friction in the same
-        direction, has none left for any other, and what is pinched so creeps. Coulomb's friction has no such memory.
+        direction, also where the bodies now slide that way, and what is pinched so creeps. Coulomb's friction never does work.
         """
-        pieces, pads = set(self.pieces.values()), {part for parts in self.finger_links for part in parts}
-        held, most = dict[tuple[int, int], float](), dict[tuple[int, int], float]()
-        gripped = set[int]()
+        places, before = self.places_of_pieces(), self.last_looked
+        self.last_looked = places
+        if before is None:
+            return
+        then, now = self.frames_of_pieces(np.array([before, places]))
+        back = dict(zip(self.pieces.values(), then @ inverse(now), strict=True))
+        pads = {part for parts in self.finger_links for part in parts}
+        gripped, driven = set[int](), set[int]()
         for row in self._contacts_now():
             one, two = (row[1], row[3]), (row[2], row[4])
-            pair = (one[0], two[0])
             if one in pads or two in pads:
-                gripped |= {*pair}
-            elif pieces.intersection(pair) and one in self.roughness and two in self.roughness:
-                held[pair] = held.get(pair, 0.0) + float(np.hypot(row[10], row[12]))
-                most[pair] = most.get(pair, 0.0) + self.roughness[one] * self.roughness[two] * row[9]
-        slipping = {body for pair in held if held[pair] >= SLIPPED * most[pair] > 0.0 for body in pair}
-        for body in sorted(slipping & pieces - gripped):
+                gripped |= {one[0], two[0]}
+            elif one in self.roughness and two in self.roughness and (one[0] in back or two[0] in back):
+                friction = row[10] * np.array(row[11]) + row[12] * np.array(row[13])
+                size = float(np.linalg.norm(friction))
+                if size >= SLIPPED * self.roughness[one] * self.roughness[two] * row[9] and size > NEGLIGIBLE:
+                    slid = _moved(back.get(one[0]), row[5]) - _moved(back.get(two[0]), row[6])
+                    if slid @ friction > DRIVEN * DRIVES_EVERY * size:
+                        driven |= {one[0], two[0]}
+        for body in sorted(driven & set(back) - gripped):
             p.setCollisionFilterGroupMask(body, -1, 1, -1, physicsClientId=self.client)
 
     # --- what a real cell would know -----------------------------------------------------------------------------------------
@@ -262,6 +276,11 @@ class World(Stage):
             force, distance = found.get(key, (0.0, np.inf))
             found[key] = (force + row[9], min(distance, row[8]))
         return [(a, b, force, distance) for (a, b), (force, distance) in found.items()]
+
+
+def _moved(back: Array | None, point: Sequence[float]) -> Array:
+    """How far (3,) a point of a body has come from where a transform (4, 4) takes it back to; a body without one stood still."""
+    return np.zeros(3) if back is None else np.array(point) - apply(back, point)
 
 
 def _cross(a: Sequence[float], b: Sequence[float]) -> Vector:

@@ -19,7 +19,7 @@ from soma_bullet.robot.model import Cell
 from soma_bullet.sim.quiet import pybullet as p
 from soma_bullet.sim.stage import Physics
 from soma_bullet.sim.travel import STALE, STALE_POINTS, WATCH
-from soma_bullet.sim.world import SLIPS_EVERY, World
+from soma_bullet.sim.world import DRIVES_EVERY, World
 from tests.blocks import SIDE, assembly, box, cells
 
 STAND = (0.03, 0.03)
@@ -134,21 +134,36 @@ def test_the_factor_on_friction_is_the_factor_on_friction(cell: Cell, factor: fl
     assert (slides(cell, Physics(friction=factor), slope, 0.0).max() < 0.2) == stays
 
 
-@pytest.mark.parametrize(("slope_deg", "slips"), [(20.0, False), (28.0, True)])
-def test_contacts_of_what_slips_form_anew(cell: Cell, monkeypatch: pytest.MonkeyPatch, slope_deg: float, slips: bool) -> None:
+@pytest.mark.parametrize(
+    ("slope_deg", "seems_to_slide", "renewed"),
+    [(5.0, "up", False), (5.0, "down", False), (28.0, "down", False), (28.0, "up", True), (28.0, "across", False)],
+)
+def test_contacts_form_anew_where_friction_drives(
+    cell: Cell, monkeypatch: pytest.MonkeyPatch, slope_deg: float, seems_to_slide: str, renewed: bool
+) -> None:
+    """Friction points up the slope, and is at its limit at 28 deg alone: it would drive a block that came from below."""
     block = cells([(0, 0, 0), (1, 0, 0)], "block")
     pose = make_transform(translation=(0.0, 0.25, -block.vertices[:, 2].min() - block.clearance))
     with running(cell, assembly([block], [(0, 0, 0)]), {"block": pose}) as world:
-        run(world, 0.05)
-        slope, renewed = np.deg2rad(slope_deg), list[int]()
+        slope = np.deg2rad(slope_deg)
         p.setGravity(GRAVITY * np.sin(slope), 0.0, -GRAVITY * np.cos(slope), physicsClientId=world.client)
-        renew = p.setCollisionFilterGroupMask
-        spy = lambda body, *args, **named: (renewed.append(body), renew(body, *args, **named))  # noqa: E731
-        monkeypatch.setattr(p, "setCollisionFilterGroupMask", spy)
-        for _ in range(round(2.5 * SLIPS_EVERY / world.physics.dt)):
-            world.step()
-            assert world.contacts()
-    assert renewed == ([world.pieces["block"]] * 2 if slips else [])
+        run(world, 0.3)
+        forgotten = list[int]()
+        monkeypatch.setattr(p, "setCollisionFilterGroupMask", lambda body, *args, **named: forgotten.append(body))
+        way = {"down": (1e-4, 0.0), "up": (-1e-4, 0.0), "across": (0.0, 1e-4)}[seems_to_slide]
+        world.last_looked = world.places_of_pieces() - (*way, *[0.0] * 5)
+        world.forget_what_drives()
+    assert forgotten == ([world.pieces["block"]] if renewed else [])
+
+
+def test_a_block_that_slides_keeps_its_contacts(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> None:
+    block = cells([(0, 0, 0), (1, 0, 0)], "block")
+    pose = make_transform(translation=(0.0, 0.25, -block.vertices[:, 2].min() - block.clearance))
+    with running(cell, assembly([block], [(0, 0, 0)]), {"block": pose}) as world:
+        p.setGravity(GRAVITY * np.sin(0.5), 0.0, -GRAVITY * np.cos(0.5), physicsClientId=world.client)
+        monkeypatch.setattr(p, "setCollisionFilterGroupMask", lambda *args, **named: pytest.fail("formed anew"))
+        run(world, 2.5 * DRIVES_EVERY)
+        assert world.piece_poses()["block"][0, 3] > 5e-3
 
 
 def test_friction_is_the_geometric_mean_of_two_bodies(cell: Cell) -> None:
