@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ def compose_urdf(
     visuals: bool = True,
     fixtures: bool = True,
     arms: Sequence[Arm] | None = None,
+    frames: Collection[str] | None = None,
 ) -> Path:
     """Writes the whole cell as one URDF: `world`, `table`, `stand`, then each arm and its hand under the arm's prefix.
 
@@ -33,6 +34,8 @@ def compose_urdf(
         fixtures: table and stand; a simulator may want them as bodies of their own.
         visuals: without them the file loads faster and shows nothing but table and stand.
         arms: these of the cell's arms; None for all. A simulator solves arms that are bodies of their own faster.
+        frames: links without mass and shape that stay, by name; None for all. A simulator goes through each of them for every
+            contact.
 
     Raises:
         InputError: with every mesh that is not found, and all places tried; or with names that collide.
@@ -65,11 +68,32 @@ def compose_urdf(
     if not visuals:
         for link in robot.links:
             link.visuals = [] if link.name not in ("table", "stand") else link.visuals
+    if frames is not None:
+        _leave_out_frames(robot, {"world", *frames})
     path_out.parent.mkdir(parents=True, exist_ok=True)
     model = yourdfpy.URDF(robot=robot, build_scene_graph=False, load_meshes=False)
     # PyBullet garbles lines of several kB: one element a line.
     path_out.write_bytes(etree.tostring(model.write_xml(), xml_declaration=True, encoding="utf-8", pretty_print=True))
     return path_out
+
+
+def _leave_out_frames(robot: Any, kept: Collection[str]) -> None:
+    """Fixes what hangs on links without mass and shape to what those are fixed to, and drops them."""
+    above = {joint.child: joint for joint in robot.joints}
+    for link in list(robot.links):
+        up = above.get(link.name)
+        if link.name in kept or link.collisions or link.inertial.mass > _TINY_MASS or up is None or up.type != "fixed":
+            continue
+        for joint in robot.joints:
+            if joint.parent == link.name:
+                joint.parent = up.parent
+                joint.origin = _origin(up) @ _origin(joint)
+        robot.joints.remove(up)
+        robot.links.remove(link)
+
+
+def _origin(joint: Any) -> Array:
+    return np.eye(4) if joint.origin is None else np.asarray(joint.origin)
 
 
 def _tiny() -> Any:

@@ -123,9 +123,10 @@ class Stage:
         self.links: dict[str, Part] = {}
         self.joints: dict[str, Part] = {}
         self.moving_joints: tuple[str, ...] = ()
+        frames = {arm.prefixed(arm.hand.mount_link) for arm in arms}
         for k, group in enumerate([[arm] for arm in arms] if self.physics.solver == "pgs" else [arms]):
             file = folder / f"arms{k}.urdf"
-            compose_urdf(self.cell, stand, file, visuals=False, fixtures=False, arms=group)
+            compose_urdf(self.cell, stand, file, visuals=False, fixtures=False, arms=group, frames=frames)
             flags = p.URDF_USE_INERTIA_FROM_FILE | p.URDF_USE_SELF_COLLISION
             body = p.loadURDF(str(file), useFixedBase=True, flags=flags, physicsClientId=self.client)
             self.robots += [body] * len(group)
@@ -135,8 +136,9 @@ class Stage:
             self.links |= {row[12].decode(): (body, row[0]) for row in info}
             self.moving_joints += tuple(row[1].decode() for row in info if row[2] != p.JOINT_FIXED)
         for pair in self.cell.never_checked:
-            (body_a, link_a), (body_b, link_b) = (self._part(name) for name in pair)
-            p.setCollisionFilterPair(body_a, body_b, link_a, link_b, 0, physicsClientId=self.client)
+            if all(name in self.fixtures or name in self.links for name in pair):  # the others have no shape
+                (body_a, link_a), (body_b, link_b) = (self._part(name) for name in pair)
+                p.setCollisionFilterPair(body_a, body_b, link_a, link_b, 0, physicsClientId=self.client)
         self.moving: dict[int, list[int]] = {body: [] for body in self.robots}  # body -> its `moving_joints`
         for body, joint in map(self.joints.__getitem__, self.moving_joints):
             self.moving[body].append(joint)
@@ -146,7 +148,7 @@ class Stage:
         self.finger_masses = [
             [p.getDynamicsInfo(*part, physicsClientId=self.client)[0] for part in parts] for parts in self.finger_links
         ]
-        self.tcp_links = [self.links[arm.tcp_link][1] for arm in self.cell.arms]
+        self.tcp_on_mount = [to_quat_xyzw(arm.hand.T_mount_tcp) for arm in self.cell.arms]
         # a link's index is that of the joint above it
         self.wrists = [self.links[arm.prefixed(arm.hand.mount_link)][1] for arm in self.cell.arms]
         self.hand_links = [self._below(*part) for part in zip(self.robots, self.wrists, strict=True)]

@@ -216,10 +216,6 @@ class World(Stage):
                     fx, fy, fz, tx, ty, tz = fx + gx, fy + gy, fz + gz, tx + lx, ty + ly, tz + lz
         return (fx, fy, fz), (tx, ty, tz), mount, quat_xyzw
 
-    def wrist_axes(self, arm: int) -> Array:
-        """Axes (3, 3) of a hand's mount frame in the world."""
-        return _rotation(p.getLinkState(self.robots[arm], self.wrists[arm], physicsClientId=self.client)[5])
-
     def _contacts_now(self) -> Sequence[tuple[Any, ...]]:
         """Contacts of the last step, of all bodies: for one, pybullet may swap the two and forget the sign of friction."""
         if self._contact_rows is None:
@@ -255,9 +251,10 @@ class World(Stage):
 
     def tcp_place(self, arm: int) -> tuple[float, ...]:
         """Position [m] and quaternion (x, y, z, w) of one arm's TCP (7,)."""
-        body, link = self.robots[arm], self.tcp_links[arm]
+        body, link = self.robots[arm], self.wrists[arm]
         state = p.getLinkState(body, link, computeForwardKinematics=1, physicsClientId=self.client)
-        return (*state[4], *state[5])
+        position, quat_xyzw = p.multiplyTransforms(state[4], state[5], *self.tcp_on_mount[arm])
+        return (*position, *quat_xyzw)
 
     def all_joints(self) -> Array:
         """Positions of `moving_joints`."""
@@ -279,7 +276,7 @@ class World(Stage):
 
 
 def _moved(back: Array | None, point: Sequence[float]) -> Array:
-    """How far (3,) a point of a body has come from where a transform (4, 4) takes it back to; a body without one stood still."""
+    """How far (3,) [m] a point of a body has come from where a transform (4, 4) takes it back to; without one, it has not."""
     return np.zeros(3) if back is None else np.array(point) - apply(back, point)
 
 
