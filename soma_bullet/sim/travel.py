@@ -197,10 +197,12 @@ class Travel:
                 if motion.remaining <= seated and force > segment.guard and float(motion.force @ guide.direction) < 0.0:
                     motion.outcome = "stopped early" if motion.remaining > 0.0 else "as planned"
                     return at
-                near = motion.remaining <= JAM  # it lies on something, or rubs: searching here would only push that aside
+                # it lies on something, or rubs: searching here would only push that aside; and a table has no opening to find
+                near = motion.remaining <= JAM or segment.kind == "set_down"
                 speed = guide.update(load, DT, motion.remaining, near)
                 if guide.failed or (near and guide.waited > LEANING):
-                    motion.outcome, motion.reason = "jammed" if guide.failed else "stopped early", guide.failed
+                    jammed = guide.failed or motion.remaining > JAM
+                    motion.outcome, motion.reason = "jammed" if jammed else "stopped early", guide.failed
                     return at
             pace = min(speed, pace + DT / SLOW)
             at = float(np.clip(at + pace, 0.0, last))

@@ -189,6 +189,26 @@ def test_a_piece_that_sits_high_in_the_hand_is_set_down_where_it_touches(
     assert (record.peak_force > GUARD) == (not high or beyond > 0.0)
 
 
+@pytest.mark.parametrize(("deeper", "outcome"), [(0.6e-3, "stopped early"), (4e-3, "jammed")])
+def test_a_piece_that_meets_the_table_too_early_is_not_searched_with(
+    over: Executor, robot: Robot, deeper: float, outcome: str
+) -> None:
+    """Lifted by 20 mm and put down by that and `deeper`: the hand sees soon that it is stopped, and stays over its place."""
+    over.travel.compliance = Compliance()
+    over.run(wait("grasp", CLOSING, 0.0))
+    over.run(line(robot, over.world.cell, over.world.targets[0], np.array((0, 0, 0.02)), "lift"))
+    before = over.world.piece_poses()["block"]
+    lowering = line(robot, over.world.cell, over.world.targets[0], np.array((0, 0, -0.02 - deeper)), "set_down", GUARD, 0.010)
+    stiffness = readonly(np.linalg.pinv(robot.jacobian(0, lowering.path[-1])))
+    seen = over.run(replace(lowering, compliance=stiffness))
+    record = over.recorder.segments[-1]
+    assert seen.outcome == outcome
+    assert record.remaining == pytest.approx(deeper, abs=0.8e-3)
+    assert record.end - record.start < lowering.seconds + 2.0
+    after = over.world.piece_poses()["block"]
+    assert np.linalg.norm(after[:2, 3] - before[:2, 3]) < 0.2e-3
+
+
 @pytest.mark.parametrize("high", [0.0, 0.6e-3])
 def test_what_is_held_follows_down_until_it_rests(over: Executor, robot: Robot, high: float) -> None:
     """Lifted by `high`, as if what had carried it were gone: it comes down by that, is not pressed on, and stays straight."""
