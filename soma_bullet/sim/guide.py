@@ -91,6 +91,11 @@ class Guide:
         """Whether the hand is on its spiral."""
         return self._turned > 0.0
 
+    @property
+    def held_up(self) -> float:
+        """How long it has met resistance, on and off, without getting deeper [s]."""
+        return self._bounced
+
     def update(self, load: Array, dt: float, left: float = np.inf, near: bool = False) -> float:
         """Take the load of the hand after `dt` [s]; returns the speed as a fraction of the planned.
 

@@ -198,11 +198,12 @@ class Travel:
                     motion.outcome = "stopped early" if motion.remaining > 0.0 else "as planned"
                     return at
                 # it lies on something, or rubs: searching here would only push that aside; and a table has no opening to find
-                near = motion.remaining <= JAM or segment.kind == "set_down"
+                early = motion.remaining > JAM
+                near = not early or segment.kind == "set_down"
                 speed = guide.update(load, DT, motion.remaining, near)
-                if guide.failed or (near and guide.waited > LEANING):
-                    jammed = guide.failed or motion.remaining > JAM
-                    motion.outcome, motion.reason = "jammed" if jammed else "stopped early", guide.failed
+                if guide.failed or (near and (guide.held_up if early else guide.waited) > LEANING):
+                    motion.outcome = "jammed" if guide.failed or early else "stopped early"
+                    motion.reason = guide.failed
                     return at
             pace = min(speed, pace + DT / SLOW)
             at = float(np.clip(at + pace, 0.0, last))

@@ -203,7 +203,7 @@ def test_a_piece_that_meets_the_table_too_early_is_not_searched_with(
     seen = over.run(replace(lowering, compliance=stiffness))
     record = over.recorder.segments[-1]
     assert seen.outcome == outcome
-    assert record.remaining == pytest.approx(deeper, abs=0.8e-3)
+    assert record.remaining == pytest.approx(deeper, abs=1.5e-3)  # it bounces
     assert record.end - record.start < lowering.seconds + 2.0
     after = over.world.piece_poses()["block"]
     assert np.linalg.norm(after[:2, 3] - before[:2, 3]) < 0.2e-3
