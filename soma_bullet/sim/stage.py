@@ -79,6 +79,7 @@ class Stage:
         stand: footprint of the stand [m].
         poses: T_world_piece (4, 4) of each piece at the start.
         home: joints (arms, 6) at the start.
+        frames: whether the arms keep the links of their URDF that have neither mass nor shape.
     """
 
     def __init__(
@@ -89,6 +90,7 @@ class Stage:
         poses: Mapping[str, Array],
         home: Array,
         physics: Physics,
+        frames: bool = False,
     ):
         self.cell, self.assembly, self.physics = cell, assembly, physics
         self.roughness: dict[Part, float] = {}  # two that touch have the product of theirs as coefficient of friction
@@ -101,7 +103,7 @@ class Stage:
                 constraintSolverType=SOLVERS[physics.solver],
             )  # fmt: skip
             self._load_fixtures(stand)
-            self._load_robot(Path(folder), stand)
+            self._load_robot(Path(folder), stand, frames)
             self._load_pieces(Path(folder), poses)
         self._couple_fingers()
         self._place_robot(home)
@@ -113,7 +115,7 @@ class Stage:
 
     # --- loading, before the clock starts ---------------------------------------------------------------------------------
 
-    def _load_robot(self, folder: Path, stand: tuple[float, float]) -> None:
+    def _load_robot(self, folder: Path, stand: tuple[float, float], frames: bool) -> None:
         """Each arm is a body of its own: its rows of the solver are shorter, and what it holds is solved by itself.
 
         Dantzig's solver loses its grip on pieces when there are two such bodies, so it gets both arms as one.
@@ -123,10 +125,10 @@ class Stage:
         self.links: dict[str, Part] = {}
         self.joints: dict[str, Part] = {}
         self.moving_joints: tuple[str, ...] = ()
-        frames = {arm.prefixed(arm.hand.mount_link) for arm in arms}
+        kept = None if frames else {arm.prefixed(arm.hand.mount_link) for arm in arms}
         for k, group in enumerate([[arm] for arm in arms] if self.physics.solver == "pgs" else [arms]):
             file = folder / f"arms{k}.urdf"
-            compose_urdf(self.cell, stand, file, visuals=False, fixtures=False, arms=group, frames=frames)
+            compose_urdf(self.cell, stand, file, visuals=False, fixtures=False, arms=group, frames=kept)
             flags = p.URDF_USE_INERTIA_FROM_FILE | p.URDF_USE_SELF_COLLISION
             body = p.loadURDF(str(file), useFixedBase=True, flags=flags, physicsClientId=self.client)
             self.robots += [body] * len(group)
