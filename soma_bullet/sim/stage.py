@@ -92,7 +92,7 @@ class Stage:
         physics: Physics,
         frames: bool = False,
     ):
-        self.cell, self.assembly, self.physics = cell, assembly, physics
+        self.cell, self.assembly, self.physics, self._frames = cell, assembly, physics, frames
         self.roughness: dict[Part, float] = {}  # two that touch have the product of theirs as coefficient of friction
         self.client = p.connect(p.DIRECT)
         with tempfile.TemporaryDirectory() as folder, silenced():
@@ -103,7 +103,7 @@ class Stage:
                 constraintSolverType=SOLVERS[physics.solver],
             )  # fmt: skip
             self._load_fixtures(stand)
-            self._load_robot(Path(folder), stand, frames)
+            self._load_robot(Path(folder), stand)
             self._load_pieces(Path(folder), poses)
         self._couple_fingers()
         self._place_robot(home)
@@ -115,7 +115,7 @@ class Stage:
 
     # --- loading, before the clock starts ---------------------------------------------------------------------------------
 
-    def _load_robot(self, folder: Path, stand: tuple[float, float], frames: bool) -> None:
+    def _load_robot(self, folder: Path, stand: tuple[float, float]) -> None:
         """Each arm is a body of its own: its rows of the solver are shorter, and what it holds is solved by itself.
 
         Dantzig's solver loses its grip on pieces when there are two such bodies, so it gets both arms as one.
@@ -125,7 +125,7 @@ class Stage:
         self.links: dict[str, Part] = {}
         self.joints: dict[str, Part] = {}
         self.moving_joints: tuple[str, ...] = ()
-        kept = None if frames else {arm.prefixed(arm.hand.mount_link) for arm in arms}
+        kept = None if self._frames else {arm.prefixed(arm.hand.mount_link) for arm in arms}
         for k, group in enumerate([[arm] for arm in arms] if self.physics.solver == "pgs" else [arms]):
             file = folder / f"arms{k}.urdf"
             compose_urdf(self.cell, stand, file, visuals=False, fixtures=False, arms=group, frames=kept)
