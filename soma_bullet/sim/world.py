@@ -129,7 +129,7 @@ class World(Stage):
 
         Bullet's anchored contact pulls towards where it formed, and lets go where its friction exceeds the limit: that of one
         which slips is at the limit, and exceeds it by rounding alone. It goes on pulling with all its friction in the same
-        direction, also where the bodies now slide that way, and what is pinched so creeps. Coulomb's friction never does work.
+        direction, also where the bodies now slide that way, and what is pinched so creeps. Coulomb's friction opposes sliding.
         """
         places, before = self.places_of_pieces(), self.last_looked
         self.last_looked = places

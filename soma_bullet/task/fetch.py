@@ -291,9 +291,9 @@ class Fetcher:
     def _places(self, view: View, rest: int, arm: int, grip: Grip, before: tuple[Action, ...]) -> list[tuple[Array, int, Grip]]:
         """Where one resting pose can go, who brings it and how: the most comfortable for both hands, and near, first."""
         key = ("brought", *view.key, rest, arm, grip.T_piece_tcp.tobytes(), before)
-        return self._once(key, lambda: self._placings(view, rest, arm, grip, before))
+        return self._once(key, lambda: self._find_places(view, rest, arm, grip, before))
 
-    def _placings(
+    def _find_places(
         self, view: View, rest: int, arm: int, grip: Grip, before: tuple[Action, ...]
     ) -> list[tuple[Array, int, Grip]]:
         poses = self.places(view, rest)

@@ -43,11 +43,11 @@ def make_program(
 ) -> Program:
     """Schedule and trajectories of a plan, from the beginning or from a state as found.
 
-    Args:
-        scheduler: of the same plan, feed and start, which has searched before: what it knows is not found again.
-
     A motion that cannot be found rules out exactly its step, arm and grasp, or this way to regrasp, and the search of the
     schedule goes on.
+
+    Args:
+        scheduler: of the same plan, feed and start, which has searched before: what it knows is not found again.
 
     Raises:
         NoSolutionError: with what blocked, most frequent first.

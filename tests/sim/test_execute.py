@@ -83,6 +83,12 @@ def line(robot: Robot, cell: Cell, q: Array, offset: Array, kind: Kind, guard: f
     return Segment(kind, 0, 0, "block", readonly(timed), readonly(offset), np.nan, 0.0, guard)
 
 
+def lowered(over: Executor, robot: Robot, by: float, kind: Kind) -> Segment:
+    """A guarded line straight down from where the arm is, that yields."""
+    segment = line(robot, over.world.cell, over.world.targets[0], np.array((0, 0, -by)), kind, GUARD, 0.010)
+    return replace(segment, compliance=readonly(np.linalg.pinv(robot.jacobian(0, segment.path[-1]))))
+
+
 @pytest.fixture
 def over(cell: Cell, robot: Robot, block: Assembly) -> Iterator[Executor]:
     """The hand open around the block."""
@@ -178,9 +184,8 @@ def test_a_piece_that_sits_high_in_the_hand_is_set_down_where_it_touches(
     over.travel.compliance = Compliance()
     over.run(wait("grasp", CLOSING, 0.0))
     over.run(line(robot, over.world.cell, over.world.targets[0], np.array((0, 0, 0.02)), "lift"))
-    lowering = line(robot, over.world.cell, over.world.targets[0], np.array((0, 0, high - 0.02)), "place", GUARD, 0.010)
-    stiffness = readonly(np.linalg.pinv(robot.jacobian(0, lowering.path[-1])))
-    seen = over.run(replace(lowering, compliance=stiffness, beyond=beyond))
+    lowering = lowered(over, robot, 0.02 - high, "place")
+    seen = over.run(replace(lowering, beyond=beyond))
     stands = 1.5 * SIDE - over.world.assembly.pieces[0].clearance
     height = over.world.piece_poses()["block"][2, 3] - stands
     record = over.recorder.segments[-1]
@@ -198,9 +203,8 @@ def test_a_piece_that_meets_the_table_too_early_is_not_searched_with(
     over.run(wait("grasp", CLOSING, 0.0))
     over.run(line(robot, over.world.cell, over.world.targets[0], np.array((0, 0, 0.02)), "lift"))
     before = over.world.piece_poses()["block"]
-    lowering = line(robot, over.world.cell, over.world.targets[0], np.array((0, 0, -0.02 - deeper)), "set_down", GUARD, 0.010)
-    stiffness = readonly(np.linalg.pinv(robot.jacobian(0, lowering.path[-1])))
-    seen = over.run(replace(lowering, compliance=stiffness))
+    lowering = lowered(over, robot, 0.02 + deeper, "set_down")
+    seen = over.run(lowering)
     record = over.recorder.segments[-1]
     assert seen.outcome == outcome
     assert record.remaining == pytest.approx(deeper, abs=1.5e-3)  # it bounces
@@ -237,12 +241,11 @@ def test_what_rests_on_something_is_not_pressed(over: Executor, robot: Robot) ->
     over.travel.compliance = Compliance()
     over.run(wait("grasp", CLOSING, 0.0))
     over.run(line(robot, over.world.cell, over.world.targets[0], np.array((0, 0, 0.02)), "lift"))
-    lowering = line(robot, over.world.cell, over.world.targets[0], np.array((0, 0, -0.02)), "place", GUARD, 0.010)
-    stiffness = readonly(np.linalg.pinv(robot.jacobian(0, lowering.path[-1])))
-    over.run(replace(lowering, compliance=stiffness, beyond=BEYOND))
+    lowering = lowered(over, robot, 0.02, "place")
+    over.run(replace(lowering, beyond=BEYOND))
     over.travel.tares[0] = over.travel.tares[0] - (0.0, 0.0, 2 * RESTING, 0.0, 0.0, 0.0)  # something leans on it from below
     held = over.world.targets.copy()
-    seen = over.run(replace(wait("follow", FOLLOWING), guard=GUARD, compliance=stiffness, beyond=BEYOND))
+    seen = over.run(replace(wait("follow", FOLLOWING), guard=GUARD, compliance=lowering.compliance, beyond=BEYOND))
     assert seen.outcome == "as planned" and over.recorder.segments[-1].peak_force == 0.0
     np.testing.assert_array_equal(over.world.targets, held)
 
