@@ -37,6 +37,8 @@ class Physics:
         grip_force: [N]; None for the hand's own.
         friction: factor on every friction coefficient.
         mass: factor on every piece's mass.
+        asleep: speed [m/s, rad/s] below which a piece that nothing touches but what sleeps as well, or stands for ever, is left
+            where it is after 2 s, until something that moves touches it; 0 to let none sleep.
         record_every: samples of a trajectory between samples of the log.
     """
 
@@ -47,6 +49,7 @@ class Physics:
     grip_force: float | None = None
     friction: float = 1.0
     mass: float = 1.0
+    asleep: float = 1e-6
     record_every: int = 5
 
     @property
@@ -223,6 +226,11 @@ class Stage:
             p.resetBasePositionAndOrientation(body, position, quat_xyzw, physicsClientId=self.client)
             stiffness = STIFFNESS if self.touches_flat(piece.name) else POINT_STIFFNESS
             self._surface(body, -1, np.sqrt(piece.friction * self.physics.friction), anchor=True, stiffness=stiffness)
+            if self.physics.asleep:
+                p.changeDynamics(
+                    body, -1, activationState=p.ACTIVATION_STATE_ENABLE_SLEEPING, sleepThreshold=self.physics.asleep**2,
+                    physicsClientId=self.client,
+                )  # fmt: skip
             if self.physics.mass != 1.0:
                 inertia = [self.physics.mass * value for value in info[2]]
                 p.changeDynamics(

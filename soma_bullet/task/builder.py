@@ -228,8 +228,7 @@ class ProgramBuilder:
         step, arm, piece = self._about(a, who)
         self.count += 1
         context = entering(self.workcell, self.context, kind, arm, piece)
-        now = float(context.hands.openings[arm])
-        widths = widths_between(now, now if np.isnan(opening) else opening)
+        widths = widths_to(context, arm, opening)
         scene, start = scene_of(self.workcell, context, arm), context.hands.qs[arm]
         try:
             path = plan_motion(self.workcell, scene, context.hands, arm, start, goal, widths, self.seed + 1000 * self.count)
@@ -301,3 +300,14 @@ def guarded(workcell: Workcell, segment: Segment, context: Context) -> Segment:
 def scene_of(workcell: Workcell, context: Context, arm: int) -> Scene:
     """The scene in which one arm moves in a context, and nothing else does."""
     return workcell.scene(context.poses, context.hands, arm, context.carried.get(arm), context.touching)
+
+
+def widths_along(before: Context, segment: Segment) -> Array:
+    """Widths [m] that a hand goes through along a segment."""
+    return widths_to(before, segment.arm, segment.opening)
+
+
+def widths_to(context: Context, arm: int, opening: float) -> Array:
+    """Widths [m] from that of a hand to another; NaN leaves it as it is."""
+    now = float(context.hands.openings[arm])
+    return widths_between(now, now if np.isnan(opening) else opening)

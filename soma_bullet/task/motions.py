@@ -19,6 +19,7 @@ FINGER_STEP = 0.004  # [m] of one finger; none is thinner
 EDGE_STEPS = (0.02, 0.004, 0.004, 0.004, 0.004)  # [rad] between checked states of an edge, one for each attempt
 FINER = 4  # parts of a step of the path that is taken, to be checked once more: the planner's edges may graze something between
 SHORTEST = 1e-4  # [m] of a line that is worth a motion of its own
+BRIEFLY = 250  # checks of collisions, after which the search for a path that would only save time gives up
 CARRYING = 0.6  # of the joint limits while a hand carries a piece
 
 

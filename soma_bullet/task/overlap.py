@@ -17,34 +17,31 @@ from dataclasses import replace
 
 import numpy as np
 
-from soma_bullet.frames import Array, readonly
+from soma_bullet.frames import readonly
 from soma_bullet.motion.timing import TimingError, time_path
 from soma_bullet.motion.transfer import TransferError
 from soma_bullet.robot.silhouette import Obstacle, Silhouette, distance
-from soma_bullet.task.builder import scene_of
-from soma_bullet.task.motions import CARRYING, check, collisions, plan_motion, thinned, widths_between
-from soma_bullet.task.segments import DT, Context, Program, Segment, contexts, entering, leaving, one_at_a_time
+from soma_bullet.task.builder import scene_of, widths_along
+from soma_bullet.task.motions import BRIEFLY, CARRYING, check, collisions, plan_motion, thinned
+from soma_bullet.task.precedence import assembles, awaited
+from soma_bullet.task.prefetch import prefetched
+from soma_bullet.task.segments import AROUND, DT, Program, Segment, contexts, entering, leaving, one_at_a_time
 from soma_bullet.task.sweeps import CLEARANCE, GHOST_STEP, Sweep, meet
 from soma_bullet.task.workcell import Workcell
 
-CHECKS = 250  # of collisions, after which the search for a path around the other arm gives up
 SHORT = 0.2  # [s] a wait that nothing is done about
 WORTH = 1.0  # [s] a wait that is worth another path
 LONGER = 1.5  # [s] that such a path may take more
 STOP = 0.3  # [s] that a stop on the way takes, about
 PARTS = 16  # of a path, between which it may be divided
 STRIDE = 8  # samples of a path from one to the next of those that its parts are timed along
-AROUND = ("transit", "transfer", "home")
-ASSEMBLING = ("insert", "place")
-UNLADEN = {"transit", "home"}  # ways on which a hand is away from what it is about
-AT_PIECE = ("approach", "grasp", "settle", "release", "follow")
 
 
 def overlapped(workcell: Workcell, program: Program) -> Program:
     """The same program, every segment waiting for no more than it must, with what it takes one arm at a time."""
     patient = _patient(workcell, program)
-    in_turn = program.makespan
-    return replace(_Loosener(workcell, patient).run(), alone=min(in_turn, patient.makespan), in_turn=in_turn)
+    together = _Loosener(workcell, prefetched(workcell, patient)).run()
+    return replace(together, alone=min(program.makespan, patient.makespan), in_turn=program.makespan)
 
 
 def _patient(workcell: Workcell, program: Program) -> Program:
@@ -95,18 +92,12 @@ def _onwards(workcell: Workcell, program: Program, k: int) -> list[Segment]:
     try:
         path = plan_motion(
             workcell, scene_of(workcell, before, arm), before.hands, arm, segments[k].path[0], transit.path[-1],
-            _widths(before, transit), program.seed + 17 * k,
+            widths_along(before, transit), program.seed + 17 * k,
         )  # fmt: skip
     except (TransferError, TimingError):
         return segments
     onwards = replace(transit, path=readonly(path))
     return [*segments[:k], onwards, *segments[k + 1 : following], *segments[following + 1 :]]
-
-
-def _widths(before: Context, segment: Segment) -> Array:
-    """Widths [m] that a hand goes through along a segment."""
-    now = float(before.hands.openings[segment.arm])
-    return widths_between(now, now if np.isnan(segment.opening) else segment.opening)
 
 
 class _Loosener:
@@ -116,7 +107,7 @@ class _Loosener:
         self.workcell, self.program = workcell, program
         self.moments = [(before, segment) for before, segment, _ in contexts(workcell, program)]
         self.sweeps = [Sweep.of(workcell, before, segment) for before, segment in self.moments]
-        self.assembling = [_assembles(before, segment) for before, segment in self.moments]
+        self.assembling = [assembles(before, segment) for before, segment in self.moments]
         self.known: list[dict[int, int]] = []  # for every segment, the last of each arm's that has ended when it starts
 
     def run(self) -> Program:
@@ -187,7 +178,7 @@ class _Loosener:
             return None
         limits, gentle = self.workcell.robot.arm(arm), CARRYING if arm in before.carried else 1.0
         scene = scene_of(self.workcell, before, arm)
-        collides = collisions(self.workcell, scene, before.hands, arm, _widths(before, segment))
+        collides = collisions(self.workcell, scene, before.hands, arm, widths_along(before, segment))
         halves = []
         for part in (path[: m + 1], path[m:]):
             rows = np.union1d(np.arange(0, len(part), STRIDE), [len(part) - 1])
@@ -209,22 +200,9 @@ class _Loosener:
 
     def _ended(self, j: int, sweep: Sweep) -> tuple[dict[int, int], bool]:
         """The last segment of each arm that must have ended before a segment; whether another path could do with fewer."""
-        arm, piece, kind = self.moments[j][1].arm, self.moments[j][1].piece, self.moments[j][1].kind
-        own = next((i for i in range(j - 1, -1, -1) if self.moments[i][1].arm == arm), -1)
-        ended = dict(self.known[own]) if own >= 0 else dict.fromkeys(range(len(self.workcell.cell.arms)), -1)
-        ended[arm] = own
-        avoidable = False
-        for i in range(j - 1, -1, -1):
-            other = self.moments[i][1]
-            if i <= ended[other.arm]:
-                continue
-            same = other.piece == piece and not {kind, other.kind} & UNLADEN
-            ordered = same or (self.assembling[i] and self.assembling[j])
-            if ordered or meet(self.sweeps[i], sweep):
-                avoidable |= not ordered
-                ended = {a: max(last, self.known[i][a]) for a, last in ended.items()}
-                ended[other.arm] = i
-        return ended, avoidable
+        segments = [segment for _, segment in self.moments]
+        arms = len(self.workcell.cell.arms)
+        return awaited(j, segments, self.assembling, self.known, arms, lambda i: meet(self.sweeps[i], sweep))
 
     def _around(self, j: int, ended: dict[int, int]) -> dict[int, int]:
         """A path that keeps clear of what the other arms do meanwhile, if there is one that waits for less."""
@@ -233,7 +211,7 @@ class _Loosener:
         bound = self.known[own] if own >= 0 else dict.fromkeys(ended, -1)
         meanwhile = [i for i in range(j) if (its := self.moments[i][1].arm) != arm and i > bound[its]]
         start, goal = segment.path[0], segment.path[-1]
-        widths = _widths(before, segment)
+        widths = widths_along(before, segment)
         margin = CLEARANCE + GHOST_STEP / 2
         silhouette = Silhouette(self.workcell.collision, arm, float(widths.max()), before.carried.get(arm))
         ends = silhouette.at(start), silhouette.at(goal)
@@ -245,7 +223,7 @@ class _Loosener:
         try:
             path = plan_motion(
                 self.workcell, scene_of(self.workcell, before, arm), before.hands, arm, start, goal, widths,
-                self.program.seed + 31 * j, CHECKS, lambda q: obstacle.near(silhouette.at(q)),
+                self.program.seed + 31 * j, BRIEFLY, lambda q: obstacle.near(silhouette.at(q)),
             )  # fmt: skip
         except (TransferError, TimingError):
             return ended
@@ -265,8 +243,3 @@ def _longest(count: int, holds: Callable[[int], bool]) -> int:
         middle = (low + high) // 2
         low, high = (middle, high) if holds(middle * (count - 1) // PARTS) else (low, middle)
     return low * (count - 1) // PARTS
-
-
-def _assembles(before: Context, segment: Segment) -> bool:
-    """Whether a segment changes the assembly or what holds it: those keep their order."""
-    return segment.kind in ASSEMBLING or (segment.kind in AT_PIECE and segment.piece in before.placed)

@@ -18,17 +18,11 @@ from soma_bullet.motion.timing import TimingError
 from soma_bullet.motion.transfer import TransferError
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.task.assignments import Start
-from soma_bullet.task.builder import MotionError, ProgramBuilder, guarded, scene_of
+from soma_bullet.task.builder import MotionError, ProgramBuilder, guarded, scene_of, widths_along
 from soma_bullet.task.feed import Feed
-from soma_bullet.task.motions import plan_motion, straight_motion, widths_between
+from soma_bullet.task.motions import plan_motion, straight_motion
 from soma_bullet.task.schedule import Scheduler
-from soma_bullet.task.segments import (
-    SPEEDS,
-    Program,
-    Segment,
-    contexts,
-    one_at_a_time,
-)
+from soma_bullet.task.segments import SPEEDS, Program, Segment, contexts, one_at_a_time
 from soma_bullet.task.workcell import Workcell
 
 
@@ -106,8 +100,7 @@ def replan(workcell: Workcell, program: Program, index: int, qs: Array) -> Segme
         if segment.kind in SPEEDS:
             path = straight_motion(workcell, scene, context.hands, segment.arm, start, segment.offset, segment.kind)
         else:
-            now = float(context.hands.openings[segment.arm])
-            widths = widths_between(now, now if np.isnan(segment.opening) else segment.opening)
+            widths = widths_along(context, segment)
             goal, seed = segment.path[-1], program.seed + index
             path = plan_motion(workcell, scene, context.hands, segment.arm, start, goal, widths, seed)
     except (LineError, TransferError, TimingError) as error:

@@ -29,21 +29,22 @@ GUARD = 1.0  # [N] change of the wrist's force that ends a placing
 BEYOND = 1.5e-3  # [m] that a guarded line goes on beyond its end until it meets what carries the piece
 SETTLE = 0.2  # [s] after a placing
 FOLLOWING = 0.5  # [s] about, until a hand that follows down is stopped
-CLOSING, OPENING_TIME = 0.5, 0.4  # [s] for the hand to grip, and to let go
+CLOSING, OPENING_TIME = 0.5, 0.3  # [s] for the hand to grip, and to let go
 SPEEDS = {
-    "approach": HandLimits(0.15, 0.5),
-    "lift": HandLimits(0.10, 0.3),
-    "insert": HandLimits(0.10, 0.3),
-    "place": HandLimits(0.010, 0.03),
-    "lower": HandLimits(0.10, 0.3),
-    "set_down": HandLimits(0.010, 0.03),
-    "retreat": HandLimits(0.15, 0.3),
+    "approach": HandLimits(0.25, 1.0),
+    "lift": HandLimits(0.20, 1.0),
+    "insert": HandLimits(0.20, 1.0),
+    "place": HandLimits(0.010, 0.10),
+    "lower": HandLimits(0.20, 1.0),
+    "set_down": HandLimits(0.010, 0.10),
+    "retreat": HandLimits(0.25, 1.0),
 }  # [m/s], [m/s2]
-THREADING = HandLimits(0.020, 0.06)  # [m/s], [m/s2] of what is guarded before that
+THREADING = HandLimits(0.020, 0.10)  # [m/s], [m/s2] of what is guarded before that
 GUARDED = ("place", "set_down", "follow")
 SLANT = 0.2, 0.98  # downward parts of the directions that count as slanted
 DOWN = readonly(np.array((0.0, 0.0, -1.0)))
-MOTIONS = ("transit", "transfer", "home", *SPEEDS)
+AROUND = ("transit", "transfer", "home")  # obstacles
+MOTIONS = (*AROUND, *SPEEDS)
 SMALLEST_JUMP = 1e-4  # [rad] a segment that starts farther from the measured joints is made anew
 
 

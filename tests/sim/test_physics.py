@@ -179,6 +179,43 @@ def test_friction_is_the_geometric_mean_of_two_bodies(cell: Cell) -> None:
     assert [found["half"] * pad for pad in pads] == pytest.approx([np.sqrt(0.5 * cell.arms[0].hand.pad_friction)] * 2)
 
 
+# --- what rests is left alone until it is touched ------------------------------------------------------------------------
+
+
+def knocked(cell: Cell, asleep: float) -> tuple[Array, Array]:
+    """Where the centres (3, 3) of a low block, of one on top of it and of one beside them are, after a rest and at the end.
+
+    The one beside, which never sleeps, is kicked: it knocks the low one out from under the other.
+    """
+    names = ("low", "top", "beside")
+    blocks = [box((SIDE,) * 3, name) for name in names]
+    whole = assembly(blocks, [(0, 0, SIDE / 2), (0, 0, SIDE * 1.5), (-4 * SIDE, 0, SIDE / 2)])
+    poses = {b.name: make_transform(translation=(0, 0.25, 0)) @ goal for b, goal in zip(blocks, whole.goals, strict=True)}
+    with running(cell, whole, poses, Physics(asleep=asleep)) as world:
+        kicked = world.pieces["beside"]
+        p.changeDynamics(
+            kicked, -1, activationState=p.ACTIVATION_STATE_DISABLE_SLEEPING, physicsClientId=world.client
+        )  # fmt: skip
+        run(world, 3.0)
+        before = world.piece_poses()
+        run(world, 0.5)
+        rested = world.piece_poses()
+        if asleep:  # that it has not moved at all is how sleep shows
+            assert all(np.array_equal(before[name], rested[name]) for name in names[:2])
+        p.resetBaseVelocity(kicked, [2.0, 0, 0], [0, 0, 0], physicsClientId=world.client)
+        run(world, 0.5)
+        first, last = (np.array([poses[name][:3, 3] for name in names]) for poses in (rested, world.piece_poses()))
+        return first, last
+
+
+def test_what_sleeps_wakes_when_it_is_touched(cell: Cell) -> None:
+    (rested, end), (rested_awake, end_awake) = knocked(cell, Physics().asleep), knocked(cell, 0.0)
+    np.testing.assert_allclose(rested, rested_awake, atol=5e-6)
+    assert end_awake[0, 0] > 1.5 * SIDE  # as far as it slides from under the one on top
+    assert np.ptp(end_awake[:2, 2]) > SIDE / 2
+    np.testing.assert_allclose(end, end_awake, atol=3e-3)
+
+
 # --- a grip is friction ------------------------------------------------------------------------------------------------
 
 

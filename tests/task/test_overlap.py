@@ -10,8 +10,8 @@ from soma_bullet.records import to_tree
 from soma_bullet.robot.collision import Situation
 from soma_bullet.robot.silhouette import distance
 from soma_bullet.task.builder import scene_of
-from soma_bullet.task.overlap import AROUND, overlapped
-from soma_bullet.task.segments import DT, SPEEDS, Context, Program, Segment, contexts
+from soma_bullet.task.overlap import overlapped
+from soma_bullet.task.segments import AROUND, DT, SPEEDS, Context, Program, Segment, contexts
 from soma_bullet.task.sweeps import CLEARANCE, Sweep, meet
 from soma_bullet.task.workcell import Workcell
 

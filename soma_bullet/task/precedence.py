@@ -1,0 +1,46 @@
+"""What a segment waits for once the arms move at the same time: the assembly, its piece, other arms in its way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from soma_bullet.task.segments import Context, Segment
+
+ASSEMBLING = ("insert", "place")
+UNLADEN = {"transit", "home"}  # ways on which a hand is away from what it is about
+AT_PIECE = ("approach", "grasp", "settle", "release", "follow")
+
+
+def assembles(before: Context, segment: Segment) -> bool:
+    """Whether a segment changes the assembly or what holds it: those keep their order."""
+    return segment.kind in ASSEMBLING or (segment.kind in AT_PIECE and segment.piece in before.placed)
+
+
+def awaited(
+    j: int, segments: Sequence[Segment], assembling: Sequence[bool], known: Sequence[dict[int, int]], arms: int,
+    meets: Callable[[int], bool],
+) -> tuple[dict[int, int], bool]:  # fmt: skip
+    """The last segment of each arm that must have ended before the j-th; whether another path of it could wait for fewer.
+
+    Args:
+        assembling: of every segment, whether it `assembles`.
+        known: what was found for each of the segments before it.
+        arms: how many there are.
+        meets: whether the j-th may come near to the arm of an earlier one.
+    """
+    arm, piece, kind = segments[j].arm, segments[j].piece, segments[j].kind
+    own = next((i for i in range(j - 1, -1, -1) if segments[i].arm == arm), -1)
+    ended = dict(known[own]) if own >= 0 else dict.fromkeys(range(arms), -1)
+    ended[arm] = own
+    avoidable = False
+    for i in range(j - 1, -1, -1):
+        other = segments[i]
+        if i <= ended[other.arm]:
+            continue
+        same = other.piece == piece and not {kind, other.kind} & UNLADEN
+        ordered = same or (assembling[i] and assembling[j])
+        if ordered or meets(i):
+            avoidable |= not ordered
+            ended = {a: max(last, known[i][a]) for a, last in ended.items()}
+            ended[other.arm] = i
+    return ended, avoidable
