@@ -37,8 +37,8 @@ class Physics:
         grip_force: [N]; None for the hand's own.
         friction: factor on every friction coefficient.
         mass: factor on every piece's mass.
-        asleep: speed [m/s, rad/s] below which a piece that nothing touches but what sleeps as well, or stands for ever, is left
-            where it is after 2 s, until something that moves touches it; 0 to let none sleep.
+        asleep: speed [m/s, rad/s] below which a piece is at rest; one that touches only fixtures and pieces at rest is left as
+            it is until anything else comes near. 0 to let none sleep.
         record_every: samples of a trajectory between samples of the log.
     """
 

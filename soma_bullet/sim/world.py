@@ -12,16 +12,17 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, apply, inverse, make_transform
 from soma_bullet.robot.model import Cell
 from soma_bullet.sim.quiet import pybullet as p
-from soma_bullet.sim.stage import Physics, Stage
+from soma_bullet.sim.stage import Part, Physics, Stage
 
 Vector = tuple[float, float, float]
 
 CLOSING_SPEED, OPENING_SPEED = 0.05, 0.1  # [m/s]
 SETTLED = 8  # iterations of the solver in which a finger's motor reaches its limit
-DRIVES_EVERY = 0.25  # [s] between looks for contacts whose friction drives what it should stop
+LOOKS_EVERY = 0.25  # [s] between looks for contacts whose friction drives what it should stop, and for pieces at rest
 SLIPPED = 0.97  # of the most that friction can hold: there two bodies slip
 NEGLIGIBLE = 1e-6  # [N] of friction
 DRIVEN = 1e-5  # [m/s] along its friction at which a contact that slips drives
+STILL = 2e-5, 2e-4  # [m], [rad] by which a piece at rest has moved between two looks, at most
 FORMING = 2  # steps in which the contacts of a pad form anew: the fingers stand still in the first and close slowly in the next
 
 
@@ -29,7 +30,7 @@ class World(Stage):
     """A stage whose clock runs. It is told joint targets and hand commands, nothing else.
 
     Attributes:
-        last_looked: `places_of_pieces` at the last look for contacts that drive.
+        last_looked: `places_of_pieces` at the last look.
     """
 
     def __init__(
@@ -42,12 +43,13 @@ class World(Stage):
         physics: Physics,
     ):
         super().__init__(cell, assembly, stand, poses, home, physics)
-        self.steps, self._looks_every = 0, round(DRIVES_EVERY / physics.dt)
+        self.steps, self._looks_every = 0, round(LOOKS_EVERY / physics.dt)
         self.last_looked: Array | None = None
         self._efforts = [arm.effort.tolist() for arm in cell.arms]
         self._squeezing = [0.0] * len(cell.arms)  # [N]
         self._forming = [0] * len(cell.arms)  # steps until the contacts of a hand's pads have formed anew
         self._contact_rows: Sequence[tuple[Any, ...]] | None = None  # of the last step
+        self._robot_rows: Sequence[tuple[Any, ...]] | None = None  # those among them that an arm has a part in
         for arm, q in enumerate(home):
             self.command_arm(arm, q)
             self.open_hand(arm, 0.0)
@@ -115,26 +117,62 @@ class World(Stage):
     def step(self) -> None:
         """One time step with the current commands."""
         if self.steps % self._looks_every == 0:
-            self.forget_what_drives()
+            self.look()
         p.stepSimulation(physicsClientId=self.client)
-        self._contact_rows = None
+        self._contact_rows = self._robot_rows = None
         self.steps += 1
-        for arm, steps in enumerate(self._forming):
-            if steps:
-                self._forming[arm] = steps - 1
-                self.squeeze(arm, self._squeezing[arm])
+        if any(self._forming):
+            for arm, steps in enumerate(self._forming):
+                if steps:
+                    self._forming[arm] = steps - 1
+                    self.squeeze(arm, self._squeezing[arm])
 
-    def forget_what_drives(self) -> None:
+    def look(self) -> None:
+        """See what has moved since the last look: contacts that drive form anew, and what rests sleeps."""
+        places, before = self.places_of_pieces(), self.last_looked
+        self.last_looked = places
+        if before is None:
+            return
+        self._forget_what_drives(before, places)
+        if self.physics.asleep:
+            self._let_sleep(before, places)
+
+    def _let_sleep(self, before: Array, places: Array) -> None:
+        """Let pieces at rest sleep that touch nothing but fixtures and such pieces: they wake where anything comes near.
+
+        Bullet would do so itself after 2 s at rest. It seldom comes to that: whenever a contact of anything is dropped, it goes
+        through those of all else in another order, which is felt as a push of some micrometres.
+        """
+        far = places - before
+        shifts, turns = np.linalg.norm(far[:, :3], axis=1), 2 * np.linalg.norm(far[:, 3:], axis=1)
+        still = (shifts < STILL[0]) & (turns < STILL[1])
+        restless = {body for body, rests in zip(self.pieces.values(), still, strict=True) if not rests or self._moves(body)}
+        groups = {body: {body} for body in self.pieces.values()}  # those that touch are in one
+        for row in self._contacts_now():
+            one, two = row[1], row[2]
+            if one in groups and two in groups:
+                if groups[one] is not groups[two]:
+                    groups[one] |= groups[two]
+                    groups.update(dict.fromkeys(groups[two], groups[one]))
+            elif one in self.robots or two in self.robots:
+                restless |= {one, two}
+        for body, group in groups.items():
+            if not group & restless:
+                state = p.ACTIVATION_STATE_SLEEP
+                p.changeDynamics(body, -1, activationState=state, physicsClientId=self.client)
+
+    def _moves(self, body: int) -> bool:
+        """Whether a piece is faster than one that sleeps."""
+        velocity = sum(p.getBaseVelocity(body, physicsClientId=self.client), ())
+        return float(np.linalg.norm(velocity)) >= self.physics.asleep
+
+    def _forget_what_drives(self, before: Array, places: Array) -> None:
         """Let the contacts of pieces that friction drives, and that no pad touches, form anew in the next step.
 
         Bullet's anchored contact pulls towards where it formed, and lets go where its friction exceeds the limit: that of one
         which slips is at the limit, and exceeds it by rounding alone. It goes on pulling with all its friction in the same
         direction, also where the bodies now slide that way, and what is pinched so creeps. Coulomb's friction opposes sliding.
         """
-        places, before = self.places_of_pieces(), self.last_looked
-        self.last_looked = places
-        if before is None:
-            return
         then, now = self.frames_of_pieces(np.array([before, places]))
         back = dict(zip(self.pieces.values(), then @ inverse(now), strict=True))
         pads = {part for parts in self.finger_links for part in parts}
@@ -148,7 +186,7 @@ class World(Stage):
                 size = float(np.linalg.norm(friction))
                 if size >= SLIPPED * self.roughness[one] * self.roughness[two] * row[9] and size > NEGLIGIBLE:
                     slid = _moved(back.get(one[0]), row[5]) - _moved(back.get(two[0]), row[6])
-                    if slid @ friction > DRIVEN * DRIVES_EVERY * size:
+                    if slid @ friction > DRIVEN * LOOKS_EVERY * size:
                         driven |= {one[0], two[0]}
         for body in sorted(driven & set(back) - gripped):
             p.setCollisionFilterGroupMask(body, -1, 1, -1, physicsClientId=self.client)
@@ -201,7 +239,10 @@ class World(Stage):
         for (x, y, _), mass in zip((state[0] for state in states), self.hand_masses[arm], strict=True):
             weight = -self.physics.gravity * mass
             fz, tx, ty = fz + weight, tx + (y - my) * weight, ty - (x - mx) * weight
-        for row in self._contacts_now():
+        if self._robot_rows is None:
+            robots = set(self.robots)
+            self._robot_rows = [row for row in self._contacts_now() if row[1] in robots or row[2] in robots]
+        for row in self._robot_rows:
             for sign, side in ((1.0, 1), (-1.0, 2)):
                 if row[side] == body and row[side + 2] in links:
                     normal, first, second = sign * row[9], sign * row[10], sign * row[12]
@@ -263,16 +304,25 @@ class World(Stage):
             found += self._positions(body, joints)
         return np.array(found)
 
-    def contacts(self) -> list[tuple[tuple[int, int], tuple[int, int], float, float]]:
+    def contacts(self) -> list[tuple[Part, Part, float, float]]:
         """Touching links as ((body, link), (body, link), normal force [N], distance [m]); the forces of a pair are added."""
-        found: dict[tuple[tuple[int, int], tuple[int, int]], tuple[float, float]] = {}
+        found: dict[tuple[int, int, int, int], list[float]] = {}
         self._contact_rows = p.getContactPoints(physicsClientId=self.client)
         for row in self._contact_rows:
-            one, two = (row[1], row[3]), (row[2], row[4])
-            key = (one, two) if one < two else (two, one)
-            force, distance = found.get(key, (0.0, np.inf))
-            found[key] = (force + row[9], min(distance, row[8]))
-        return [(a, b, force, distance) for (a, b), (force, distance) in found.items()]
+            total = found.get(row[1:5])
+            if total is None:
+                found[row[1:5]] = [row[9], row[8]]
+            else:
+                total[0] += row[9]
+                if row[8] < total[1]:
+                    total[1] = row[8]
+        pairs: dict[tuple[Part, Part], tuple[float, float]] = {}
+        for (body_a, body_b, link_a, link_b), (more, nearer) in found.items():
+            one, two = (body_a, link_a), (body_b, link_b)
+            pair = (one, two) if one < two else (two, one)
+            force, distance = pairs.get(pair, (0.0, np.inf))
+            pairs[pair] = (force + more, min(distance, nearer))
+        return [(a, b, force, distance) for (a, b), (force, distance) in pairs.items()]
 
 
 def _moved(back: Array | None, point: Sequence[float]) -> Array:

@@ -20,7 +20,7 @@ from soma_bullet.robot.model import Cell
 from soma_bullet.sim.quiet import pybullet as p
 from soma_bullet.sim.stage import Physics
 from soma_bullet.sim.travel import STALE, STALE_POINTS, WATCH
-from soma_bullet.sim.world import DRIVES_EVERY, World
+from soma_bullet.sim.world import LOOKS_EVERY, World
 from tests.blocks import SIDE, assembly, box, cells
 
 STAND = (0.03, 0.03)
@@ -153,7 +153,7 @@ def test_contacts_form_anew_where_friction_drives(
         monkeypatch.setattr(p, "setCollisionFilterGroupMask", lambda body, *args, **named: forgotten.append(body))
         way = {"down": (1e-4, 0.0), "up": (-1e-4, 0.0), "across": (0.0, 1e-4)}[seems_to_slide]
         world.last_looked = world.places_of_pieces() - (*way, *[0.0] * 5)
-        world.forget_what_drives()
+        world.look()
     assert forgotten == ([world.pieces["block"]] if renewed else [])
 
 
@@ -163,7 +163,7 @@ def test_a_block_that_slides_keeps_its_contacts(cell: Cell, monkeypatch: pytest.
     with running(cell, assembly([block], [(0, 0, 0)]), {"block": pose}) as world:
         p.setGravity(GRAVITY * np.sin(0.5), 0.0, -GRAVITY * np.cos(0.5), physicsClientId=world.client)
         monkeypatch.setattr(p, "setCollisionFilterGroupMask", lambda *args, **named: pytest.fail("formed anew"))
-        run(world, 2.5 * DRIVES_EVERY)
+        run(world, 2.5 * LOOKS_EVERY)
         assert world.piece_poses()["block"][0, 3] > 5e-3
 
 
@@ -214,6 +214,27 @@ def test_what_sleeps_wakes_when_it_is_touched(cell: Cell) -> None:
     assert end_awake[0, 0] > 1.5 * SIDE  # as far as it slides from under the one on top
     assert np.ptp(end_awake[:2, 2]) > SIDE / 2
     np.testing.assert_allclose(end, end_awake, atol=3e-3)
+
+
+def test_what_a_hand_holds_does_not_sleep(cell: Cell, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor does what is stacked on it, unlike blocks on the table: alone, or on each other."""
+    names = ("held", "on it", "low", "top")
+    blocks = [box((SIDE, SIDE, 3 * SIDE), "held"), *(box((SIDE,) * 3, name) for name in names[1:])]
+    T = robot.tcp(0, cell.arms[0].q_home)
+    on_it = make_transform(translation=(0, 0, 2 * SIDE)) @ T
+    table = [make_transform(translation=(0.0, 0.25, SIDE * (k + 0.5))) for k in range(2)]
+    with running(
+        cell, assembly(blocks, [(0, 0, 0)] * 4), dict(zip(names, [T, on_it, *table], strict=True)), opening=SIDE + 2e-3
+    ) as world:
+        p.setGravity(0, 0, 0, physicsClientId=world.client)
+        grip(world)
+        p.setGravity(0, 0, -GRAVITY, physicsClientId=world.client)
+        told = set[int]()
+        real = p.changeDynamics
+        monkeypatch.setattr(p, "changeDynamics", lambda body, *args, **named: (told.add(body), real(body, *args, **named)))
+        run(world, 2.0)
+        assert world.piece_poses()["on it"][2, 3] > 0.2  # still there
+    assert told == {world.pieces["low"], world.pieces["top"]}
 
 
 # --- a grip is friction ------------------------------------------------------------------------------------------------
