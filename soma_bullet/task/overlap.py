@@ -26,7 +26,7 @@ from soma_bullet.task.motions import BRIEFLY, CARRYING, check, collisions, plan_
 from soma_bullet.task.precedence import assembles, awaited
 from soma_bullet.task.prefetch import prefetched
 from soma_bullet.task.segments import AROUND, DT, Program, Segment, contexts, entering, leaving, one_at_a_time
-from soma_bullet.task.sweeps import CLEARANCE, GHOST_STEP, Sweep, meet
+from soma_bullet.task.sweeps import CLEARANCE, GHOST_STEP, Encounters, Sweep, meet
 from soma_bullet.task.workcell import Workcell
 
 SHORT = 0.2  # [s] a wait that nothing is done about
@@ -39,12 +39,13 @@ STRIDE = 8  # samples of a path from one to the next of those that its parts are
 
 def overlapped(workcell: Workcell, program: Program) -> Program:
     """The same program, every segment waiting for no more than it must, with what it takes one arm at a time."""
-    patient = _patient(workcell, program)
-    together = _Loosener(workcell, prefetched(workcell, patient)).run()
+    encounters = Encounters(workcell)
+    patient = _patient(encounters, program)
+    together = _Loosener(encounters, prefetched(encounters, patient)).run()
     return replace(together, alone=min(program.makespan, patient.makespan), in_turn=program.makespan)
 
 
-def _patient(workcell: Workcell, program: Program) -> Program:
+def _patient(encounters: Encounters, program: Program) -> Program:
     """The same program with the ways home as late as nothing else asks for them, or on to what the arm does next.
 
     An arm that has let go stands near the assembly. It must leave before the other arm comes there, but not before the other
@@ -53,22 +54,23 @@ def _patient(workcell: Workcell, program: Program) -> Program:
     segments = list(program.segments)
     for k in range(len(segments) - 1, -1, -1):
         if segments[k].kind == "home":
-            segments = _later(workcell, replace(program, segments=tuple(segments)), k)
+            segments = _later(encounters, replace(program, segments=tuple(segments)), k)
     for k in range(len(segments) - 1, -1, -1):
         if segments[k].kind == "home":
-            segments = _onwards(workcell, replace(program, segments=tuple(segments)), k)
+            segments = _onwards(encounters, replace(program, segments=tuple(segments)), k)
     return replace(program, segments=tuple(segments), after=one_at_a_time(len(segments)))
 
 
-def _later(workcell: Workcell, program: Program, k: int) -> list[Segment]:
+def _later(encounters: Encounters, program: Program, k: int) -> list[Segment]:
     """The segments, the k-th moved behind those of other arms that are free of where its arm stands and leave it its way."""
+    workcell = encounters.workcell
     moments = list(contexts(workcell, program))
     before, segment, _ = moments[k]
-    way = Sweep.of(workcell, before, segment)
+    way = encounters.sweep(before, segment)
     here, to = way.still(0), k
     for i in range(k + 1, len(moments)):
         context, other, after = moments[i]
-        if other.arm == segment.arm or meet(here, Sweep.of(workcell, context, other)):
+        if other.arm == segment.arm or meet(here, encounters.sweep(context, other)):
             break
         if not meet(way, Sweep.at_rest(workcell, after, other.arm)):
             to = i
@@ -76,9 +78,9 @@ def _later(workcell: Workcell, program: Program, k: int) -> list[Segment]:
     return [*segments[:k], *segments[k + 1 : to + 1], segment, *segments[to + 1 :]]
 
 
-def _onwards(workcell: Workcell, program: Program, k: int) -> list[Segment]:
+def _onwards(encounters: Encounters, program: Program, k: int) -> list[Segment]:
     """The segments, a way home and the one from there replaced by one to what the arm does next, if it may wait there."""
-    segments = list(program.segments)
+    workcell, segments = encounters.workcell, list(program.segments)
     arm = segments[k].arm
     following = next((n for n in range(k + 1, len(segments)) if segments[n].arm == arm), None)
     if following is None or segments[following].kind != "transit":
@@ -86,7 +88,7 @@ def _onwards(workcell: Workcell, program: Program, k: int) -> list[Segment]:
     moments = list(contexts(workcell, program))
     _, transit, after = moments[following]
     there = Sweep.at_rest(workcell, after, arm)
-    if any(meet(there, Sweep.of(workcell, *moment[:2])) for moment in moments[k + 1 : following]):
+    if any(meet(there, encounters.sweep(*moment[:2])) for moment in moments[k + 1 : following]):
         return segments
     before = entering(workcell, moments[k][0], "transit", arm, transit.piece)
     try:
@@ -103,10 +105,10 @@ def _onwards(workcell: Workcell, program: Program, k: int) -> list[Segment]:
 class _Loosener:
     """Goes through a program once, in order."""
 
-    def __init__(self, workcell: Workcell, program: Program):
-        self.workcell, self.program = workcell, program
-        self.moments = [(before, segment) for before, segment, _ in contexts(workcell, program)]
-        self.sweeps = [Sweep.of(workcell, before, segment) for before, segment in self.moments]
+    def __init__(self, encounters: Encounters, program: Program):
+        self.encounters, self.workcell, self.program = encounters, encounters.workcell, program
+        self.moments = [(before, segment) for before, segment, _ in contexts(self.workcell, program)]
+        self.sweeps = [encounters.sweep(before, segment) for before, segment in self.moments]
         self.assembling = [assembles(before, segment) for before, segment in self.moments]
         self.known: list[dict[int, int]] = []  # for every segment, the last of each arm's that has ended when it starts
 
@@ -195,14 +197,14 @@ class _Loosener:
         before, (first, second) = self.moments[j][0], parts
         between = entering(self.workcell, leaving(self.workcell, before, first), second.kind, second.arm, second.piece)
         self.moments[j : j + 1] = [(before, first), (between, second)]
-        self.sweeps[j : j + 1] = [Sweep.of(self.workcell, *moment) for moment in self.moments[j : j + 2]]
+        self.sweeps[j : j + 1] = [self.encounters.sweep(*moment) for moment in self.moments[j : j + 2]]
         self.assembling[j : j + 1] = [self.assembling[j]] * 2
 
     def _ended(self, j: int, sweep: Sweep) -> tuple[dict[int, int], bool]:
         """The last segment of each arm that must have ended before a segment; whether another path could do with fewer."""
         segments = [segment for _, segment in self.moments]
         arms = len(self.workcell.cell.arms)
-        return awaited(j, segments, self.assembling, self.known, arms, lambda i: meet(self.sweeps[i], sweep))
+        return awaited(j, segments, self.assembling, self.known, arms, lambda i, _: self.encounters.meet(self.sweeps[i], sweep))
 
     def _around(self, j: int, ended: dict[int, int]) -> dict[int, int]:
         """A path that keeps clear of what the other arms do meanwhile, if there is one that waits for less."""
@@ -228,7 +230,7 @@ class _Loosener:
         except (TransferError, TimingError):
             return ended
         other = replace(segment, path=readonly(path))
-        sweep = Sweep.of(self.workcell, before, other)
+        sweep = self.encounters.sweep(before, other)
         sooner, _ = self._ended(j, sweep)
         if sum(sooner.values()) >= sum(ended.values()) or other.seconds > segment.seconds + LONGER:
             return ended

@@ -18,7 +18,7 @@ def assembles(before: Context, segment: Segment) -> bool:
 
 def awaited(
     j: int, segments: Sequence[Segment], assembling: Sequence[bool], known: Sequence[dict[int, int]], arms: int,
-    meets: Callable[[int], bool],
+    meets: Callable[[int, int], bool],
 ) -> tuple[dict[int, int], bool]:  # fmt: skip
     """The last segment of each arm that must have ended before the j-th; whether another path of it could wait for fewer.
 
@@ -26,7 +26,7 @@ def awaited(
         assembling: of every segment, whether it `assembles`.
         known: what was found for each of the segments before it.
         arms: how many there are.
-        meets: whether the j-th may come near to the arm of an earlier one.
+        meets: whether the arms of an earlier one and of the j-th may come near to each other.
     """
     arm, piece, kind = segments[j].arm, segments[j].piece, segments[j].kind
     own = next((i for i in range(j - 1, -1, -1) if segments[i].arm == arm), -1)
@@ -39,7 +39,7 @@ def awaited(
             continue
         same = other.piece == piece and not {kind, other.kind} & UNLADEN
         ordered = same or (assembling[i] and assembling[j])
-        if ordered or meets(i):
+        if ordered or meets(i, j):
             avoidable |= not ordered
             ended = {a: max(last, known[i][a]) for a, last in ended.items()}
             ended[other.arm] = i

@@ -18,17 +18,16 @@ from soma_bullet.task.builder import scene_of, widths_along
 from soma_bullet.task.motions import BRIEFLY, check, collisions, plan_motion, thinned
 from soma_bullet.task.precedence import UNLADEN, assembles, awaited
 from soma_bullet.task.segments import AROUND, Context, Program, Segment, beginning, contexts, entering, leaving, one_at_a_time
-from soma_bullet.task.sweeps import Sweep, meet
-from soma_bullet.task.workcell import Workcell
+from soma_bullet.task.sweeps import Encounters, Sweep
 
 FETCHING = ("transit", "approach", "grasp", "lift", "transfer")  # what may come earlier, in one stretch
 GAIN = 0.2  # [s] of the makespan that a change of the order is worth
 CHANGES = 12  # of the order, at most
 
 
-def prefetched(workcell: Workcell, program: Program) -> Program:
+def prefetched(encounters: Encounters, program: Program) -> Program:
     """The same program, with those fetches earlier that make it end sooner once the arms move at the same time."""
-    order = _Order(workcell, program)
+    order = _Order(encounters, program)
     for _ in range(CHANGES):
         if not order.improve():
             break
@@ -38,16 +37,13 @@ def prefetched(workcell: Workcell, program: Program) -> Program:
 class _Order:
     """Segments in one order, and when they end; what is known of one or two of them outlasts changes of the order."""
 
-    def __init__(self, workcell: Workcell, program: Program):
-        self.workcell, self.program = workcell, program
-        self.arms = len(workcell.cell.arms)
-        self._known: dict[int, Segment] = {}  # by id, as all that is kept
-        self._sweeps: dict[int, Sweep] = {}
-        self._rests: dict[int, Sweep] = {}  # of the arm after a segment
-        self._assembling: set[int] = set()
-        self._meets: dict[tuple[int, int], bool] = {}
-        self._clear: dict[tuple[int, int], bool] = {}
-        self._first = beginning(workcell, program.feed, program.start, program.order)
+    def __init__(self, encounters: Encounters, program: Program):
+        self.encounters, self.workcell, self.program = encounters, encounters.workcell, program
+        self.arms = len(self.workcell.cell.arms)
+        self._sweeps: dict[Segment, Sweep] = {}
+        self._rests: dict[Segment, Sweep] = {}  # of its arm once a segment has ended
+        self._assembling: dict[Segment, bool] = {}
+        self._first = beginning(self.workcell, program.feed, program.start, program.order)
         self._take(list(program.segments))
 
     def _take(self, segments: list[Segment]) -> None:
@@ -58,35 +54,24 @@ class _Order:
         self.waits, self.makespan = self._timed(segments)
 
     def _know(self, before: Context, segment: Segment, after: Context) -> None:
-        if id(segment) not in self._known:
-            self._known[id(segment)] = segment
-            self._sweeps[id(segment)] = Sweep.of(self.workcell, before, segment)
-            self._rests[id(segment)] = Sweep.at_rest(self.workcell, after, segment.arm)
-            if assembles(before, segment):
-                self._assembling.add(id(segment))
-
-    def _near(self, first: Segment, second: Segment) -> bool:
-        """Whether the arms of two segments may come near to each other."""
-        pair = id(first), id(second)
-        if pair not in self._meets:
-            self._meets[pair] = meet(self._sweeps[pair[0]], self._sweeps[pair[1]])
-        return self._meets[pair]
-
-    def _clear_of(self, rest: Segment, moving: Segment) -> bool:
-        """Whether an arm that stands where a segment has brought it leaves another its way."""
-        pair = id(rest), id(moving)
-        if pair not in self._clear:
-            self._clear[pair] = not meet(self._rests[pair[0]], self._sweeps[pair[1]])
-        return self._clear[pair]
+        if segment not in self._rests:
+            self._sweeps[segment] = self.encounters.sweep(before, segment)
+            self._rests[segment] = Sweep.at_rest(self.workcell, after, segment.arm)
+            self._assembling[segment] = assembles(before, segment)
 
     def _timed(self, segments: Sequence[Segment]) -> tuple[list[float], float]:
         """How long each segment waits for other arms, and when all have ended [s]."""
         known: list[dict[int, int]] = []
         ends: list[float] = []
         waits: list[float] = []
-        assembling = [id(segment) in self._assembling for segment in segments]
+        assembling = [self._assembling[segment] for segment in segments]
+        sweeps = [self._sweeps[segment] for segment in segments]
+
+        def meets(i: int, j: int) -> bool:
+            return self.encounters.meet(sweeps[i], sweeps[j])
+
         for j, segment in enumerate(segments):
-            ended, _ = awaited(j, segments, assembling, known, self.arms, lambda i: self._near(segments[i], segment))  # noqa: B023
+            ended, _ = awaited(j, segments, assembling, known, self.arms, meets)
             known.append(ended)
             own = ended[segment.arm]
             start = max((ends[i] for i in ended.values() if i >= 0), default=0.0)
@@ -125,7 +110,7 @@ class _Order:
     def _fetching(self, k: int, piece: str, first: bool) -> bool:
         segment = self.segments[k]
         here = segment.kind == "transit" if first else segment.kind in FETCHING
-        return here and segment.piece == piece and id(segment) not in self._assembling
+        return here and segment.piece == piece and not self._assembling[segment]
 
     def _places(self, fetch: Sequence[int]) -> Iterator[int]:
         """Segments of other arms before which a fetch may come as far as the order of the work goes, latest first."""
@@ -152,7 +137,7 @@ class _Order:
         for k in range(place, fetch[-1] + 1):
             segment = changed[k]
             before = entering(self.workcell, context, segment.kind, segment.arm, segment.piece)
-            if segment.arm == last.arm or not self._clear_of(last, segment):
+            if segment.arm == last.arm or self.encounters.meet(self._rests[last], self.encounters.sweep(before, segment)):
                 free = self._free(before, segment)
                 if free is None:
                     return None

@@ -107,6 +107,28 @@ def meet(first: Sweep, second: Sweep) -> bool:
     return False
 
 
+class Encounters:
+    """Sweeps of segments, and which of them meet, each found once, in whatever order the segments come."""
+
+    def __init__(self, workcell: Workcell):
+        self.workcell = workcell
+        self._sweeps: dict[Segment, Sweep] = {}
+        self._met: dict[tuple[Sweep, Sweep], bool] = {}
+
+    def sweep(self, before: Context, segment: Segment) -> Sweep:
+        """What `Sweep.of` gives: of the context only what belongs to the arm itself counts, which no order changes."""
+        if segment not in self._sweeps:
+            self._sweeps[segment] = Sweep.of(self.workcell, before, segment)
+        return self._sweeps[segment]
+
+    def meet(self, first: Sweep, second: Sweep) -> bool:
+        """Whether two arms `meet`."""
+        pair = first, second
+        if pair not in self._met:
+            self._met[pair] = meet(first, second)
+        return self._met[pair]
+
+
 def gap(first: Sweep, second: Sweep, enough: float) -> float:
     """Least room [m] between two arms, SAMPLED along their paths, whatever their timing; or a bound on it above `enough`.
 
