@@ -34,12 +34,12 @@ SPEEDS = {
     "approach": HandLimits(0.25, 1.0),
     "lift": HandLimits(0.20, 1.0),
     "insert": HandLimits(0.20, 1.0),
-    "place": HandLimits(0.010, 0.10),
+    "place": HandLimits(0.010, 0.03),
     "lower": HandLimits(0.20, 1.0),
-    "set_down": HandLimits(0.010, 0.10),
+    "set_down": HandLimits(0.010, 0.03),
     "retreat": HandLimits(0.25, 1.0),
 }  # [m/s], [m/s2]
-THREADING = HandLimits(0.020, 0.10)  # [m/s], [m/s2] of what is guarded before that
+THREADING = HandLimits(0.020, 0.06)  # [m/s], [m/s2] of what is guarded before that
 GUARDED = ("place", "set_down", "follow")
 SLANT = 0.2, 0.98  # downward parts of the directions that count as slanted
 DOWN = readonly(np.array((0.0, 0.0, -1.0)))

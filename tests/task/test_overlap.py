@@ -6,14 +6,25 @@ import numpy as np
 import pytest
 
 from soma_bullet.frames import Array
+from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.records import to_tree
 from soma_bullet.robot.collision import Situation
 from soma_bullet.robot.silhouette import distance
 from soma_bullet.task.builder import scene_of
+from soma_bullet.task.feed import FeedOptions, draw_feed
 from soma_bullet.task.overlap import overlapped
+from soma_bullet.task.program import make_program
 from soma_bullet.task.segments import AROUND, DT, SPEEDS, Context, Program, Segment, contexts
 from soma_bullet.task.sweeps import CLEARANCE, Sweep, meet
 from soma_bullet.task.workcell import Workcell
+
+RANDOM = 10  # seed of random poses from which BigL had better be fetched before Z
+
+
+@pytest.fixture(scope="module", params=["preferred poses", "random poses"])
+def program(request: pytest.FixtureRequest, workcell: Workcell, plan: AssemblyPlan) -> Program:
+    seed, options = (0, FeedOptions(poses="preferred")) if request.param == "preferred poses" else (RANDOM, FeedOptions())
+    return make_program(workcell, plan, draw_feed(workcell.assembly, plan, workcell.cell, seed, options), seed)
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +103,19 @@ def test_straight_lines_are_free_wherever_the_other_arm_waits(
             scene = scene_of(workcell, before, segment.arm)
             for q in segment.path[::24]:
                 assert not scene.collides(workcell.configuration(before.hands, segment.arm, q)), (segment.kind, segment.piece)
+
+
+def test_fetches_come_first_where_that_is_quicker(
+    workcell: Workcell, program: Program, loosened: Program, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("soma_bullet.task.overlap.prefetched", lambda encounters, patient: patient)
+    as_scheduled = overlapped(workcell, program)
+    assert loosened.makespan <= as_scheduled.makespan
+    fetches = [[s.piece for s in p.segments if s.kind == "lift"] for p in (as_scheduled, loosened)]
+    assert (fetches[0] != fetches[1]) == (program.seed == RANDOM)
+    if program.seed == RANDOM:
+        assert loosened.makespan < as_scheduled.makespan - 2.0
+        assert loosened.alone == as_scheduled.alone
 
 
 def test_an_arm_does_one_thing_at_a_time(loosened: Program) -> None:
