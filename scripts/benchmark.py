@@ -751,6 +751,7 @@ def simulate(arguments: Simulate) -> None:
     from soma_bullet.robot.cell import load_cell
     from soma_bullet.sim.world import World
     from soma_bullet.task.feed import FeedOptions, draw_feed
+    from soma_bullet.task.overlap import overlapped
     from soma_bullet.task.program import make_program
     from soma_bullet.task.workcell import Workcell
 
@@ -759,7 +760,7 @@ def simulate(arguments: Simulate) -> None:
     workcell = Workcell(assembly, cell)
     plan = kept_plan(assembly, cell.arms[0].hand, PlannerOptions(seed=arguments.seed))
     feed = draw_feed(assembly, plan, cell, arguments.seed, options.feed)
-    program = make_program(workcell, plan, feed, arguments.seed)
+    program = overlapped(workcell, make_program(workcell, plan, feed, arguments.seed))
     taken: dict[int, list[float]] = defaultdict(list)  # hands that squeeze -> CPU time of steps
     step = World.step
 
