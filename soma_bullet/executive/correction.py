@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from soma_bullet.frames import Array, inverse, readonly
+from soma_bullet.frames import Array, inverse, make_transform, readonly
+from soma_bullet.robot.kinematics import Robot
 from soma_bullet.task.beside import Beside
 from soma_bullet.task.motions import joined
 from soma_bullet.task.segments import Segment
@@ -19,6 +20,7 @@ CERTAIN_MM, CERTAIN_DEG = 0.1, 0.2  # [mm], [deg] smaller differences are not wo
 LARGEST_CHANGE = np.array((0.02, 0.02, 0.02, 0.12, 0.12, 0.12))  # [rad] of each joint by a correction; of more it is a share
 UTMOST_CHANGE = 5 * LARGEST_CHANGE  # the same where nothing else is left to do
 TURNED_DEG = 1.5  # [deg] that a correction may leave; a piece that has turned farther in the hand is planned with anew
+ROUNDING = 0.1  # [rad] between joints that reach a place and what the Jacobian of the end says they are: else another branch
 SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)  # of a correction, the first of which leaves the arms apart is made
 # [m] room between arms that no correction takes away; where less was planned, all but so much of that, or half
 APART, NEARER = 3e-3, 1e-3
@@ -80,24 +82,39 @@ def displacement(workcell: Workcell, segment: Segment, q: Array, seen: Sequence[
     return Displacement(shift, turn)
 
 
-def correct(segment: Segment, off: Displacement, arms: Beside, q: Array, utmost: bool) -> Correction:
+def correct(robot: Robot, segment: Segment, off: Displacement, arms: Beside, q: Array, utmost: bool) -> Correction:
     """Bend a placing, by as much as joints and the other arms allow.
 
     Args:
+        robot: which arm's it is says the segment.
         arms: the others, from now until the hand withdraws.
         q: measured joints (6,) [rad] of the arm.
         utmost: there is nothing else to do about it: joints may change by more, and what is left over is left.
     """
-    change = segment.compliance @ np.concatenate([off.shift, off.turn])
-    largest = 1.0 / max(1.0, *(np.abs(change) / (UTMOST_CHANGE if utmost else LARGEST_CHANGE)))
+    limits = UTMOST_CHANGE if utmost else LARGEST_CHANGE
+    largest = 1.0 / max(1.0, *(np.abs(_change(robot, segment, off, 1.0)) / limits))
     ramp = np.clip(np.linspace(0.0, 1.0 / BEND, len(segment.path)), 0.0, 1.0)[:, None]
     planned = arms.gap(segment.path, APART + NEARER)
     kept = min(APART, max(planned / 2, planned - NEARER) if planned > 0.0 else planned)
     for share in largest * np.array(SHARES):
-        path = segment.path + ramp * share * change
+        path = segment.path + ramp * _change(robot, segment, off, share)
         if arms.gap(path, kept) >= kept:
             break
     left = (1.0 - share) * np.linalg.norm(off.turn)
     if left > np.deg2rad(TURNED_DEG) and not utmost:
         return Correction(segment, "turned")
     return Correction(replace(segment, path=readonly(joined(path, q))))
+
+
+def _change(robot: Robot, segment: Segment, off: Displacement, share: float) -> Array:
+    """Of the joints at the end of a placing (6,) [rad] for a share of a correction.
+
+    It is exact where the arm reaches so far on the same branch: along the Jacobian alone, which is damped near singularities, a
+    turn of 8 deg leaves the hand several millimetres off. Else it is that.
+    """
+    end = segment.path[-1]
+    along: Array = segment.compliance @ (share * np.concatenate([off.shift, off.turn]))
+    planned = robot.tcp(segment.arm, end)
+    turned = Rotation.from_rotvec(share * off.turn).as_matrix() @ planned[:3, :3]
+    reached = robot.follow(segment.arm, make_transform(turned, planned[:3, 3] + share * off.shift), end + along)
+    return along if reached is None or np.abs(reached - end - along).max() > ROUNDING else reached - end

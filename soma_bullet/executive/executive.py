@@ -240,7 +240,7 @@ class Executive:
         if off.gone:
             return Correction(segment, "lost")
         alone = sum(piece not in self.placed for piece in self.gripped.values()) == 1  # recoveries know of one carried piece
-        return correct(segment, off, beside(), q, utmost=not alone)
+        return correct(self.workcell.robot, segment, off, beside(), q, utmost=not alone)
 
     def _after(self, program: Program, k: int, segment: Segment, seen: Observation) -> _Trouble | None:
         """Keep account of what is where; what went wrong, if anything."""
