@@ -93,7 +93,7 @@ def test_not_while_the_other_hand_carries_too() -> None:
 
 @pytest.mark.parametrize("turned", (-6.0, 6.0))
 def test_a_large_turn_is_made_up_for_as_exactly(turned: float) -> None:
-    """Along the Jacobian alone the piece would end millimetres off."""
+    """Along the Jacobian alone the piece would end 0.4 mm off."""
     turn = np.deg2rad(np.array((0.0, turned, 0.0)))
     executive, segment = before_placing(NOTHING, turn)
     executive.gripped[1 - segment.arm] = executive.plan.order[-1]
