@@ -7,16 +7,17 @@ from functools import cache
 import numpy as np
 import pytest
 
-from soma_bullet.executive.executive import ExecutionOptions, Executive
-from soma_bullet.sim.execute import Executor
+from soma_bullet.executive.executive import ExecutionOptions, Executive, _Trouble
+from soma_bullet.sim.execute import Executor, Observation
 from soma_bullet.sim.guide import Compliance
 from soma_bullet.sim.judge import Tolerance, judge
 from soma_bullet.sim.log import ExecutionLog
 from soma_bullet.sim.stage import Physics
 from soma_bullet.sim.world import World
-from soma_bullet.task.feed import FeedOptions
+from soma_bullet.task.feed import FeedOptions, draw_feed
 from soma_bullet.task.overlap import overlapped
-from soma_bullet.task.segments import Program
+from soma_bullet.task.program import make_program
+from soma_bullet.task.segments import Program, Segment
 from tests.soma3 import planned
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("executive")]
@@ -30,13 +31,18 @@ def loosened() -> Program:
 
 def executed(moved: str, by: tuple[float, float], options: ExecutionOptions) -> ExecutionLog:
     """An episode in which one piece lies elsewhere [m] than it was seen."""
-    (workcell, plan, _), program = planned(), loosened()
+    program = loosened()
     poses = {name: np.array(program.feed.pose(name)) for name in program.feed.names}
     poses[moved][:2, 3] += by
+    return ran(program, poses, options, Executive)
+
+
+def ran(program: Program, poses: dict[str, np.ndarray], options: ExecutionOptions, kind: type[Executive]) -> ExecutionLog:
+    workcell, plan, _ = planned()
     world = World(workcell.cell, workcell.assembly, program.stand, poses, np.array(workcell.robot.home), Physics())
     try:
         executor = Executor(world, program, Compliance())
-        ended = Executive(workcell, plan, program, executor, FeedOptions(), options).run()
+        ended = kind(workcell, plan, program, executor, FeedOptions(), options).run()
         executor.settle()
         return executor.log(ended)
     finally:
@@ -53,6 +59,36 @@ def test_a_piece_that_is_not_there_is_looked_for(moved: str, by: tuple[float, fl
     assert log.events[0].piece == moved and "lost in grasp" in log.events[0].text
     grasps = [s.outcome for s in log.segments if (s.kind, s.piece) == ("grasp", moved)]
     assert grasps[0] == "lost" and grasps[-1] == "as planned"
+
+
+class _Interrupted(Executive):
+    """Counts it as trouble once that two hands have something: two pieces, or one amid a hand-over."""
+
+    pieces = 2
+    interrupted = False
+
+    def _after(self, program: Program, k: int, segment: Segment, seen: Observation) -> _Trouble | None:
+        trouble = super()._after(program, k, segment, seen)
+        carried = {arm: piece for arm, piece in self.gripped.items() if piece not in self.placed}
+        if self.interrupted or segment.kind != "grasp" or len(carried) < 2 or len(set(carried.values())) != self.pieces:
+            return trouble
+        self.interrupted = True
+        return _Trouble(k, segment, seen, "interrupted")
+
+
+class _InterruptedHandOver(_Interrupted):
+    pieces = 1
+
+
+@pytest.mark.parametrize(("seed", "kind"), [(8405, _Interrupted), (8409, _InterruptedHandOver)])
+def test_goes_on_where_both_hands_have_something(seed: int, kind: type[_Interrupted]) -> None:
+    workcell, plan, _ = planned()
+    program = overlapped(workcell, make_program(workcell, plan, draw_feed(workcell.assembly, plan, workcell.cell, seed), 0))
+    log = ran(program, {name: program.feed.pose(name) for name in program.feed.names}, ExecutionOptions(), kind)
+    verdict = judge(log, workcell.assembly, workcell.cell, Tolerance())
+    assert verdict.success, verdict.causes
+    assert [event.kind for event in log.events][:3] == ["trouble", "looked", "planned anew"]
+    assert "interrupted" in log.events[0].text
 
 
 def test_without_recovery_it_ends_and_says_why() -> None:

@@ -239,7 +239,7 @@ class Executive:
             return Correction(segment)
         if off.gone:
             return Correction(segment, "lost")
-        alone = sum(piece not in self.placed for piece in self.gripped.values()) == 1  # recoveries know of one carried piece
+        alone = sum(piece not in self.placed for piece in self.gripped.values()) == 1  # else planning anew lays a piece down
         return correct(self.workcell.robot, segment, off, beside(), q, utmost=not alone)
 
     def _after(self, program: Program, k: int, segment: Segment, seen: Observation) -> _Trouble | None:
@@ -289,6 +289,9 @@ class Executive:
         lost = trouble is not None and trouble.segment.arm in self._empty(trouble)
         if trouble is not None and lost:
             self._withdraw(program, trouble.index, trouble.segment)
+        for arm, piece in sorted(self.gripped.items()):
+            if list(self.gripped.values()).count(piece) > 1:  # amid a hand-over
+                self._back_away(arm, piece)
         poses = self._look()
         fallen = self._fallen(poses)
         if fallen:
@@ -303,13 +306,12 @@ class Executive:
             raise NoSolutionError("schedule", f"{', '.join(self.placed)} are in place, which no step of the plan begins with")
         world = self.executor.world
         qs, openings = world.measured_joints(), world.openings()
-        carried = {arm: piece for arm, piece in self.gripped.items() if piece not in self.placed}
-        if len(carried) > 1:
-            raise NoSolutionError("schedule", f"both hands carry: {', '.join(sorted(carried.values()))}")
         held = {arm: piece for arm, piece in self.gripped.items() if piece in self.placed}
-        carrying = None
-        for arm, piece in carried.items():
-            carrying = Carried(piece, arm, inverse(self.workcell.robot.tcp(arm, qs[arm])) @ poses[piece])
+        carrying = tuple(
+            Carried(piece, arm, inverse(self.workcell.robot.tcp(arm, qs[arm])) @ poses[piece])
+            for arm, piece in sorted(self.gripped.items())
+            if piece not in self.placed
+        )
         known = {name: self.workcell.settled[name] if name in self.placed else pose for name, pose in poses.items()}
         return Start(step, known, Hands(qs, openings, held), carrying)
 

@@ -130,11 +130,12 @@ class Robot:
         pose[:3, :3] = pose[:3, :3] @ rotation_home.T
         found = np.asarray(solver.IK(pose).Q, float).reshape(-1, 6)
         limits = self.arm(arm)
-        turned = previous + (found - previous + np.pi) % (2 * np.pi) - np.pi
-        for q in turned[np.abs(turned - previous).max(axis=1).argsort(kind="stable")]:
+        change = (found - previous + np.pi) % (2 * np.pi) - np.pi
+        for k in np.abs(change).max(axis=1).argsort(kind="stable").tolist():
+            q = previous + change[k]
             within = ((q <= limits.upper) & (q >= limits.lower)).all()  # what is not a number is not, either
             if within and np.abs(self.tcp(arm, q) - T_world_tcp).max() < FK_ERROR:
-                return np.array(q)
+                return q
         return None
 
     def _solver(self, arm: int) -> tuple[HPRobot, Array]:

@@ -27,7 +27,7 @@ class Compliance:
     Attributes:
         press: resistance at which the hand advances no further, and backs off beyond it [N].
         search: resistance from which it searches [N].
-        give: sideways speed for each newton [m/s/N], of forces beyond `dead` [N].
+        give: sideways speed for each newton [m/s/N], of forces beyond `dead` [N]; slower, a piece tilts in the hand on the rim.
         speed: of the search [m/s]; pitch: between two turns of its spiral [m].
         reach: how far aside of its path the hand may get [m].
         turns: by which the piece is turned in one search after the other, from how it came [rad].
@@ -43,7 +43,7 @@ class Compliance:
 
     press: float = 1.5
     search: float = 0.5
-    give: float = 10e-3
+    give: float = 20e-3
     dead: float = 0.06
     speed: float = 6e-3
     pitch: float = 0.25e-3

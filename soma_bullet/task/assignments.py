@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from soma_bullet.frames import Array
@@ -208,13 +208,13 @@ class Start:
         step: index of the first step that is still to be done; the pieces of the steps before it are in place.
         poses: T_world_piece (4, 4) of every piece, as found.
         hands: joints and openings, as found; `gripped` names the pieces in place that are held.
-        carrying: what a hand has in the air.
+        carrying: what hands have in the air.
     """
 
     step: int
     poses: Mapping[str, Array]
     hands: Hands
-    carrying: Carried | None = None
+    carrying: tuple[Carried, ...] = ()
 
 
 def key(assignment: Assignment) -> tuple[object, ...]:
@@ -224,6 +224,11 @@ def key(assignment: Assignment) -> tuple[object, ...]:
         pick = None if isinstance(regrasp, Square) else regrasp.pick
         chain += [regrasp.piece, regrasp.arm, pick.grasp if pick is not None else -1, whereabouts(regrasp)]
     return assignment.step, assignment.arm, assignment.grasp, *chain
+
+
+def way(prologue: Sequence[Regrasp]) -> tuple[object, ...]:
+    """What tells some regrasps before the first step from others."""
+    return ("prologue", *((r.piece, r.arm, whereabouts(r)) for r in prologue))
 
 
 def whereabouts(regrasp: Regrasp) -> bytes:

@@ -86,15 +86,16 @@ class ProgramBuilder:
             yield from self._let_go(a, following)
 
     def _get_ready(self, start: Start) -> Iterator[Made]:
-        """Holds change as they must, idle arms go home, one that carries a piece gets clear of what the piece touches."""
+        """Holds change as they must, idle arms go home, those that carry a piece get clear of what it touches."""
         idle = [arm for arm in range(len(self.workcell.robot.home)) if arm not in self.context.hands.gripped]
         for arm in idle:
             yield from self._clear_away(arm)
         yield from self._change_holds(None, self.schedule.takes, self.schedule.releases)
         for release in self.schedule.releases:
             yield from self._clear_away(release.arm)
-        if start.carrying is not None and self._touched(start.carrying.arm) is not None:
-            yield self._back_out(start.carrying.arm, start.carrying.piece)
+        for carried in start.carrying:
+            if self._touched(carried.arm) is not None:
+                yield self._back_out(carried.arm, carried.piece)
 
     def _clear_away(self, arm: int) -> Iterator[Made]:
         """An arm that has nothing goes home; from a piece it first goes straight back, opening the hand if that is needed."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from soma_bullet.errors import NoSolutionError
 from soma_bullet.planner.assembly_plan import AssemblyPlan
-from soma_bullet.task.assignments import Assignment, PutDown, Regrasp, Schedule, Square, Start, key, whereabouts
+from soma_bullet.task.assignments import Assignment, PutDown, Regrasp, Schedule, Square, Start, key, way
 from soma_bullet.task.feed import Feed, serving_grasps
 from soma_bullet.task.search import Search
 from soma_bullet.task.squaring import square_key
@@ -24,7 +24,7 @@ from soma_bullet.task.tracing import Effort, TooManyLines
 from soma_bullet.task.workcell import Workcell
 
 # candidates a step and lines of hands in each round: broad and shallow before deep
-ROUNDS = ((8, 1000), (12, 1500), (24, 4000), (72, 8000), (1_000_000, 16_000))
+ROUNDS = ((8, 1500), (12, 1500), (24, 4000), (72, 8000), (1_000_000, 16_000))
 SHALLOW, BRANCHES = (200, 600), 12  # lines after a piece has been laid down elsewhere, and places where one is laid down
 MOST_REARRANGED = 12_000  # lines of all of these
 MOST_LINES = 36_000  # of hands made or checked in all rounds together, about 25 s
@@ -112,15 +112,16 @@ class Scheduler:
 
     def rule_out(self, assignment: Assignment, regrasp: Regrasp | None) -> None:
         """Exclude what a later stage could not make: the way to regrasp where that is to blame, else the arm and grasp."""
-        lost = {way: s for way, s in self._rearrangements.items() if any(regrasp is r for r in s.prologue)}
-        self._rearrangements = {way: s for way, s in self._rearrangements.items() if way not in lost}
+        lost = {w: s for w, s in self._rearrangements.items() if any(regrasp is r for r in s.prologue)}
+        self._rearrangements = {w: s for w, s in self._rearrangements.items() if w not in lost}
         if isinstance(regrasp, Square):
             self.excluded.add(square_key(regrasp))
             self._searches = {k: s for k, s in self._searches.items() if s is None or all(regrasp is not r for r in s.prologue)}
             return
         for prepared, search in list(self._searches.items()):
             if search is not None and regrasp is not None and any(regrasp is r for r in search.prologue):
-                self.excluded.add(_way(search.prologue))
+                count = next(n for n, r in enumerate(search.prologue, 1) if r is regrasp)
+                self.excluded.add(way(search.prologue[:count]))
                 self._searches = {k: s for k, s in self._searches.items() if k[: len(prepared)] != prepared}
                 return
         if lost:
@@ -177,15 +178,15 @@ class Scheduler:
     def _after(self, before: Search, regrasps: tuple[Regrasp, ...]) -> Search | None:
         """The search after more regrasps before the first step; None where they end with no put-down, or are ruled out."""
         prologue, last = (*before.prologue, *regrasps), regrasps[-1]
-        way = _way(prologue)
-        if way in self.excluded or not isinstance(last, PutDown):
+        ways = [way(prologue[:count]) for count in range(1, len(prologue) + 1)]
+        if not self.excluded.isdisjoint(ways) or not isinstance(last, PutDown):
             return None
-        if way not in self._rearrangements:
+        if ways[-1] not in self._rearrangements:
             poses = {**before.poses, last.piece: last.pose_down}
-            self._rearrangements[way] = Search(
+            self._rearrangements[ways[-1]] = Search(
                 self.workcell, self.plan, self.feed, poses, self.start, self.rejections, self.excluded, self._effort, prologue
             )
-        return self._rearrangements[way]
+        return self._rearrangements[ways[-1]]
 
 
 def _distinct(ways: Iterator[tuple[Regrasp, ...]]) -> Iterator[tuple[Regrasp, ...]]:
@@ -197,8 +198,3 @@ def _distinct(ways: Iterator[tuple[Regrasp, ...]]) -> Iterator[tuple[Regrasp, ..
         if place not in seen:
             seen.add(place)
             yield regrasps
-
-
-def _way(prologue: tuple[Regrasp, ...]) -> tuple[object, ...]:
-    """What tells one prologue from the others."""
-    return ("prologue", *((r.piece, r.arm, whereabouts(r)) for r in prologue))

@@ -19,7 +19,7 @@ import numpy as np
 from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import Array, Indices, inverse, readonly
 from soma_bullet.planner.assembly_plan import AssemblyPlan
-from soma_bullet.task.assignments import Assignment, HandOver, Pick, PutDown, Regrasp, Release, Start, Take, key
+from soma_bullet.task.assignments import Assignment, Carried, HandOver, Pick, PutDown, Regrasp, Release, Start, Take, key, way
 from soma_bullet.task.feed import Feed
 from soma_bullet.task.fetch import CHAINS, Action, Fetcher, View
 from soma_bullet.task.holding import State
@@ -28,12 +28,13 @@ from soma_bullet.task.placing import RUN_IN, Placer, Placing
 from soma_bullet.task.spots import bearings, comfort, spread
 from soma_bullet.task.tracing import Effort, Grip, TooManyLines, Tracer
 from soma_bullet.task.turns import Option, Turns
-from soma_bullet.task.workcell import Workcell
+from soma_bullet.task.workcell import Hands, Workcell
 
 LOOKED_AT = 12  # as many candidates as are wanted are looked at before the piece is regrasped instead
 SHALLOW = 8  # candidates a step; no more, and a piece that one grasp can bring is not regrasped
 DEEP = 72  # candidates a step; more, and more goal grasps are regrasped
 REGRASPED, WAYS = 6, 2  # goal grasps that are brought about by regrasps, and ways of each kind for one of them
+BRIEF: tuple[tuple[Action, ...], ...] = (("hand over",), ("put down",))
 PREPARATIONS: tuple[tuple[Action, ...], ...] = (("put down",), ("hand over", "put down"), ("put down", "put down"))
 NEAREST, STRAIGHTEST = 4e-3, np.deg2rad(8.0)  # [m], [rad] a carried piece sits in one of its grasps within this
 
@@ -134,29 +135,39 @@ class Search:
     def _assignments(
         self, k: int, state: State, view: View, width: int, ranked: Sequence[Option]
     ) -> Iterator[tuple[Assignment, State]]:
-        """The ways to do step k: direct ones first, then with regrasps, fewest and quickest first; those before all others."""
+        """The ways to do step k: direct ones first, then with regrasps, fewest and quickest first.
+
+        At first a piece that can be had directly is regrasped only by one action, before the first step, and to be held from
+        where no arm can have it otherwise: a hand that holds it from there may leave room for the next.
+        """
         unsquared: list[tuple[Assignment, State]] = []
+        direct: set[tuple[float, ...]] = set()
         for candidate in self._direct(k, state, view, width, ranked):
             for assignment, after in self._directly(k, state, view, candidate):
+                direct.add(_bearing(candidate))
                 if assignment.regrasps or assignment.in_hand or not self.fetcher.off(view.piece):
                     yield assignment, after
                 else:
                     unsquared.append((assignment, after))
         yield from unsquared
-        if width <= SHALLOW and view.carrying is None:
-            served = self.fetcher.clear_at(view, view.source)
-            if served[sorted(self.placer.allowed(k))].any():
-                return  # other ways to do the steps before come first
-        if not self._in_reach(view):
+        briefly = width <= SHALLOW and view.carrying is None and self._served(k, view)
+        if briefly and (k > self.first or not direct):
+            return  # other ways to do the steps before come first
+        if not briefly and not self._in_reach(view):
             reason = f"{view.piece} cannot be picked where it is by any arm and grasp"
             raise NoSolutionError("schedule", reason, self.rejections)
-        placings = self._placings(k, state, REGRASPED if width <= DEEP else 4 * REGRASPED, ranked)
-        for actions in CHAINS:
+        count = REGRASPED if width <= DEEP else 4 * REGRASPED
+        placings = self._placings(k, state, count, ranked, direct if briefly else set())
+        for actions in BRIEF if briefly else CHAINS:
             for placing in placings:
                 candidate = placing.candidate
                 ways = self.fetcher.chains(view, candidate.arm, candidate.grip, actions)
                 for regrasps, pick in itertools.islice(ways, WAYS):
                     yield self._assignment(k, view, placing, regrasps, pick), placing.after
+
+    def _served(self, k: int, view: View) -> bool:
+        """Whether the hand can have the piece, where it lies, by a grasp that serves at the goal."""
+        return bool(self.fetcher.clear_at(view, view.source)[sorted(self.placer.allowed(k))].any())
 
     # --- where the search starts ---------------------------------------------------------------------------------------
 
@@ -182,31 +193,43 @@ class Search:
         return State({s.piece: self.placer.placed_pose(s.piece) for s in self.plan.steps[: self.first]}, hands, grip)
 
     def _in_hand(self) -> tuple[tuple[int, Grip] | None, tuple[Regrasp, ...]]:
-        """What an arm carries at the start; a piece whose turn is not now is put down first."""
-        carrying = self.start.carrying if self.start is not None else None
-        if carrying is None or self.start is None:
-            return None, ()
-        graph = self.fetcher.graph(carrying.piece)
-        T_piece_tcp = inverse(carrying.T_tcp_piece)
-        index, _, _ = graph.nearest(T_piece_tcp)
-        width = float(self.start.hands.openings[carrying.arm])
-        grip = Grip(index, readonly(T_piece_tcp), width, float(graph.contact[index]))
-        if carrying.piece == self.plan.steps[self.first].piece:
-            return (carrying.arm, grip), ()
-        put = self._put_away(carrying.piece, carrying.arm, grip)
-        self.poses[carrying.piece] = put.pose_down
-        return None, (put,)
+        """What an arm carries at the start; pieces whose turn is not now are put down first, one after the other."""
+        carrying = self.start.carrying if self.start is not None else ()
+        kept: tuple[int, Grip] | None = None
+        hands, stowed = self._initial().hands, list[tuple[str, int, Grip]]()
+        for carried in carrying:
+            grip, piece, arm = self._grip(carried), carried.piece, carried.arm
+            if piece == self.plan.steps[self.first].piece:
+                kept = arm, grip
+            else:
+                stowed.append((piece, arm, grip))
+            if len(carrying) > 1:  # it stands still meanwhile with what it has
+                assert self.start is not None
+                hands = hands.with_arm(arm, self.start.hands.qs[arm], grip.width).gripping(arm, piece)
+        puts = list[PutDown]()
+        for piece, arm, grip in stowed:
+            puts.append(self._put_away(hands.gripping(arm, None), piece, arm, grip, puts))
+            self.poses[piece] = puts[-1].pose_down
+            hands = hands.with_arm(arm, self.robot.home[arm], 0.0).gripping(arm, None)
+        return kept, tuple(puts)
 
-    def _put_away(self, piece: str, arm: int, grip: Grip) -> PutDown:
-        state = self._initial()
+    def _grip(self, carried: Carried) -> Grip:
+        """How a hand has what it carries."""
+        assert self.start is not None
+        graph, T_piece_tcp = self.fetcher.graph(carried.piece), inverse(carried.T_tcp_piece)
+        index, _, _ = graph.nearest(T_piece_tcp)
+        return Grip(index, readonly(T_piece_tcp), float(self.start.hands.openings[carried.arm]), float(graph.contact[index]))
+
+    def _put_away(self, hands: Hands, piece: str, arm: int, grip: Grip, before: list[PutDown]) -> PutDown:
+        """How an arm lays down what it carries after others have done so, those being as `hands` has them."""
         lying = {s.piece: self.poses[s.piece] for s in self.plan.steps[self.first :] if s.piece != piece}
-        view = View(-1, piece, self.poses[piece], (arm, grip), lying, state.placed, state.hands, (arm,))
+        view = View(-1, piece, self.poses[piece], (arm, grip), lying, self._initial().placed, hands, (arm,))
         for rest in range(len(self.fetcher.graph(piece).resting)):
             poses = self.fetcher.places(view, rest)
             cost = comfort(self.robot, arm, poses @ grip.T_piece_tcp)
             for n in np.argsort(np.round(cost, 9), kind="stable")[:12]:
                 put = self.fetcher.put_down(view, arm, grip, poses[n])
-                if put is not None:
+                if put is not None and way((*before, put)) not in self.excluded:
                     return put
         raise NoSolutionError("schedule", f"{piece} is in a hand and can be put down nowhere", self.rejections)
 
@@ -296,8 +319,14 @@ class Search:
             if placing is not None:
                 yield self._assignment(k, view, placing, regrasps, pick), placing.after
 
-    def _placings(self, k: int, state: State, count: int, ranked: Sequence[Option]) -> list[Placing]:
-        """Ways to put the piece in its place, whatever brings it: the options, then the best contact of every direction."""
+    def _placings(
+        self, k: int, state: State, count: int, ranked: Sequence[Option], known: set[tuple[float, ...]]
+    ) -> list[Placing]:
+        """Ways to put the piece in its place, whatever brings it: the options, then the best contact of every direction.
+
+        Args:
+            known: what `_bearing` gives for arms and hands that are left out.
+        """
         graph, indices = self.fetcher.graph(self.plan.steps[k].piece), self.placer.chosen(k, state)
         goal, found = self.workcell.settled[self.plan.steps[k].piece], []
         turns = []
@@ -307,7 +336,8 @@ class Search:
             turns.append([Candidate(arm, graph.grip(g)) for g in spread(graph.poses, indices, cost)])
         candidates = (c for turn in itertools.zip_longest(*turns) for c in turn if c is not None)
         first = self._first_of(ranked, False, view, indices)
-        for candidate in _distinct(itertools.chain(first, candidates))[: LOOKED_AT * count]:
+        wanted = (c for c in itertools.chain(first, candidates) if _bearing(c) not in known)
+        for candidate in _distinct(wanted)[: LOOKED_AT * count]:
             if (k, candidate.arm, candidate.grip.index) in self.excluded or not self.placer.lines_in(k, candidate):
                 continue
             placing = self.placer.placing(k, state, candidate)
@@ -335,6 +365,11 @@ class Search:
             holds={name: arm for arm, name in placing.after.hands.gripped.items()},
             takes=placing.takes, releases=placing.releases, certificate=placing.certificate,
         )  # fmt: skip
+
+
+def _bearing(candidate: Candidate) -> tuple[float, ...]:
+    """The arm, and the direction from which its hand has the piece."""
+    return candidate.arm, *bearings(candidate.grip.T_piece_tcp[None])[0]
 
 
 def _distinct(candidates: Iterable[Candidate]) -> list[Candidate]:

@@ -180,10 +180,10 @@ def beginning(workcell: Workcell, feed: Feed, start: Start | None = None, order:
         return Context({name: feed.pose(name) for name in feed.names}, workcell.idle())
     placed = frozenset(order[: start.step])
     poses = {name: workcell.stands(name, pose) if name in placed else pose for name, pose in start.poses.items()}
-    if start.carrying is None:
-        return Context(poses, start.hands, placed=placed)
-    arm, piece = start.carrying.arm, start.carrying.piece
-    return Context(poses, start.hands.gripping(arm, piece), {arm: (piece, start.carrying.T_tcp_piece)}, placed)
+    hands, carried = start.hands, {}
+    for one in start.carrying:
+        hands, carried[one.arm] = hands.gripping(one.arm, one.piece), (one.piece, one.T_tcp_piece)
+    return Context(poses, hands, carried, placed)
 
 
 def entering(workcell: Workcell, context: Context, kind: Kind, arm: int, piece: str) -> Context:

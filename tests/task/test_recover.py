@@ -7,13 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import NoSolutionError
-from soma_bullet.frames import make_transform, rotation_about, translate
+from soma_bullet.frames import Array, from_quat_xyzw, inverse, make_transform, rotation_about, translate
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.records import read_npz, write_npz
 from soma_bullet.robot.model import Cell
 from soma_bullet.task.assignments import Carried, PutDown, Square, Start
-from soma_bullet.task.program import recover_program
+from soma_bullet.task.feed import Feed, FeedOptions, draw_feed
+from soma_bullet.task.overlap import overlapped
+from soma_bullet.task.program import make_program, recover_program
+from soma_bullet.task.schedule import Scheduler
 from soma_bullet.task.segments import MOTIONS, Context, Program, contexts
 from soma_bullet.task.workcell import Workcell
 
@@ -21,13 +25,19 @@ from soma_bullet.task.workcell import Workcell
 def found(context: Context) -> Start:
     """The state after a segment, as an executive would report it."""
     carried = sorted(context.carried.items())
-    carrying = Carried(carried[0][1][0], carried[0][0], carried[0][1][1]) if carried else None
+    carrying = tuple(Carried(piece, arm, T_tcp_piece) for arm, (piece, T_tcp_piece) in carried)
     held = {arm: piece for arm, piece in context.hands.gripped.items() if piece in context.placed}
     return Start(len(context.placed), dict(context.poses), replace(context.hands, gripped=held), carrying)
 
 
 def after(workcell: Workcell, program: Program, kind: str, piece: str) -> Start:
     return next(found(c) for _, s, c in contexts(workcell, program) if (s.kind, s.piece) == (kind, piece))
+
+
+def _some_grasp(plan: AssemblyPlan, piece: str) -> Array:
+    """T_piece_tcp (4, 4)."""
+    pose = next(table for table in plan.grasps if table.piece == piece).poses[0]
+    return from_quat_xyzw(pose[:3], pose[3:])
 
 
 def assert_goes_on(workcell: Workcell, program: Program, start: Start) -> None:
@@ -85,10 +95,10 @@ def test_a_piece_in_the_hand_goes_straight_in(workcell: Workcell, plan: Assembly
 
 def test_a_piece_that_sits_wrong_in_the_hand_is_gripped_anew(workcell: Workcell, plan: AssemblyPlan, program: Program) -> None:
     start = after(workcell, program, "transfer", "Z")
-    assert start.carrying is not None
-    turned = make_transform(rotation_about((1, 0, 0), np.deg2rad(20.0))) @ start.carrying.T_tcp_piece
-    pose = workcell.robot.tcp(start.carrying.arm, start.hands.qs[start.carrying.arm]) @ turned
-    start = replace(start, carrying=replace(start.carrying, T_tcp_piece=turned), poses={**start.poses, "Z": pose})
+    (carried,) = start.carrying
+    turned = make_transform(rotation_about((1, 0, 0), np.deg2rad(20.0))) @ carried.T_tcp_piece
+    pose = workcell.robot.tcp(carried.arm, start.hands.qs[carried.arm]) @ turned
+    start = replace(start, carrying=(replace(carried, T_tcp_piece=turned),), poses={**start.poses, "Z": pose})
     made = recover_program(workcell, plan, start, 0)
     assert_goes_on(workcell, made, start)
     assert made.schedule.assignments[0].regrasps
@@ -96,17 +106,12 @@ def test_a_piece_that_sits_wrong_in_the_hand_is_gripped_anew(workcell: Workcell,
 
 def test_a_piece_whose_turn_is_later_is_put_down(workcell: Workcell, plan: AssemblyPlan, program: Program) -> None:
     start = after(workcell, program, "transfer", "Z")
-    assert start.carrying is not None
+    (carried,) = start.carrying
     last = plan.order[-1]
-    carrying = Carried(last, start.carrying.arm, start.carrying.T_tcp_piece)
     poses = {**start.poses, last: start.poses["Z"], "Z": program.feed.pose("Z")}
-    graph_poses = next(t for t in plan.grasps if t.piece == last)
-    from soma_bullet.frames import from_quat_xyzw, inverse
-
-    grasp = from_quat_xyzw(graph_poses.poses[0][:3], graph_poses.poses[0][3:])
-    carrying = replace(carrying, T_tcp_piece=inverse(grasp))
+    carrying = Carried(last, carried.arm, inverse(_some_grasp(plan, last)))
     poses[last] = workcell.robot.tcp(carrying.arm, start.hands.qs[carrying.arm]) @ carrying.T_tcp_piece
-    start = replace(start, carrying=carrying, poses=poses)
+    start = replace(start, carrying=(carrying,), poses=poses)
     made = recover_program(workcell, plan, start, 0)
     first = made.schedule.assignments[0].regrasps[0]
     assert isinstance(first, PutDown) and first.piece == last and first.pick is None
@@ -155,3 +160,42 @@ def test_a_piece_off_the_table_is_out_of_reach(workcell: Workcell, plan: Assembl
     start = replace(start, poses={**start.poses, "BigL": translate(start.poses["BigL"], (0.0, 2.0, 0.0))})
     with pytest.raises(NoSolutionError, match="BigL cannot be picked where it is"):
         recover_program(workcell, plan, start, 0)
+
+
+@pytest.mark.parametrize("seed", [8405, 8416])
+def test_of_two_pieces_in_hands_the_later_is_put_down(
+    seed: int, workcell: Workcell, soma3: Assembly, plan: AssemblyPlan, cell: Cell
+) -> None:
+    """While one piece is on its way to its place the other arm has fetched the next; then all is planned anew."""
+    program = overlapped(workcell, make_program(workcell, plan, draw_feed(soma3, plan, cell, seed, FeedOptions()), 0))
+    starts = [found(context) for _, _, context in contexts(workcell, program)]
+    both = [start for start in starts if len({carried.piece for carried in start.carrying}) == 2]
+    assert both
+    for start in both:
+        made = recover_program(workcell, plan, start, 3)
+        assert_goes_on(workcell, made, start)
+        first, later = sorted((carried.piece for carried in start.carrying), key=plan.order.index)
+        assignment = made.schedule.assignments[0]
+        assert assignment.in_hand and assignment.piece == first
+        (put,) = assignment.regrasps
+        assert isinstance(put, PutDown) and put.pick is None and put.piece == later
+
+
+def test_a_piece_that_cannot_be_put_down_where_planned_is_put_down_elsewhere(
+    workcell: Workcell, plan: AssemblyPlan, program: Program
+) -> None:
+    """What the motions rule out is not proposed again."""
+    start = after(workcell, program, "lift", plan.order[1])
+    (carried,) = start.carrying
+    hands = workcell.idle().with_arm(carried.arm, start.hands.qs[carried.arm], float(start.hands.openings[carried.arm]))
+    start = replace(start, step=0, hands=hands, poses={**start.poses, "Z": program.feed.pose("Z")})
+    names = workcell.assembly.names
+    scheduler = Scheduler(workcell, plan, Feed(names, np.array([start.poses[name] for name in names]), 0, 0, 0), start)
+    places = []
+    for _ in range(3):
+        assignment = scheduler.find().assignments[0]
+        put = assignment.regrasps[0]
+        assert isinstance(put, PutDown)
+        places.append(put.pose_down.tobytes())
+        scheduler.rule_out(assignment, put)
+    assert len(set(places)) == 3

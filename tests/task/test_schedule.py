@@ -12,7 +12,8 @@ from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import readonly
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.equilibrium import classify
-from soma_bullet.task.assignments import PutDown, Schedule
+from soma_bullet.task import placing, schedule, search
+from soma_bullet.task.assignments import HandOver, PutDown, Schedule
 from soma_bullet.task.feed import Feed, FeedOptions, draw_feed
 from soma_bullet.task.grasps import grasp_poses
 from soma_bullet.task.holding import SMALLEST_MARGIN
@@ -141,8 +142,11 @@ def test_a_piece_out_of_reach(workcell: Workcell, plan: AssemblyPlan, feed: Feed
 
 
 @pytest.mark.slow
-def test_pieces_are_laid_down_where_the_search_comes_farther(workcell: Workcell, plan: AssemblyPlan) -> None:
-    """BigL can only be brought to the held Z from some places of the table, and smallL then lies badly as well."""
+def test_pieces_are_laid_down_where_the_search_comes_farther(
+    workcell: Workcell, plan: AssemblyPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Z not being handed over, BigL can only be brought to it from some places, and smallL then lies badly as well."""
+    monkeypatch.setattr(search, "BRIEF", ())
     scheduler = Scheduler(workcell, plan, draw_feed(workcell.assembly, plan, workcell.cell, 2001))
     schedule = scheduler.find()
     moved = [regrasp for a in schedule.assignments for regrasp in a.regrasps if isinstance(regrasp, PutDown)]
@@ -152,12 +156,18 @@ def test_pieces_are_laid_down_where_the_search_comes_farther(workcell: Workcell,
     assert all(not np.allclose(regrasp.pose_down, moved[0].pose_down) for regrasp in other)
 
 
+def test_a_piece_is_handed_over_to_be_held_from_elsewhere(workcell: Workcell, plan: AssemblyPlan) -> None:
+    """However an arm picks Z where it lies, the hand that holds it leaves BigL no room."""
+    scheduler = Scheduler(workcell, plan, draw_feed(workcell.assembly, plan, workcell.cell, 8409))
+    regrasps = [[type(regrasp) for regrasp in a.regrasps] for a in scheduler.find().assignments]
+    assert regrasps == [[HandOver], [], []]
+    assert scheduler._effort.lines < 2000  # in the first round
+
+
 def test_a_search_without_success_ends(
     workcell: Workcell, plan: AssemblyPlan, feed: Feed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """After a certain count of lines, the same each time."""
-    from soma_bullet.task import placing, schedule
-
     monkeypatch.setattr(placing.Placer, "placing", lambda self, k, state, candidate: None)
     monkeypatch.setattr(schedule, "MOST_LINES", 150)
     counts = []
