@@ -31,7 +31,7 @@ from soma_bullet.task.regrasp import GraspGraph, grasp_graph
 from soma_bullet.task.segments import MOTIONS, Program, contexts
 from soma_bullet.task.workcell import Workcell
 
-PUT_DOWN, HANDED_OVER = ("soma3", 14), ("soma4", 3)  # assemblies and seeds of feeds that need them
+PUT_DOWN, HANDED_OVER = ("soma3", 8400), ("soma4", 3)  # assemblies and seeds of feeds that need them
 
 
 def made(name: str, seed: int, cell: Cell) -> tuple[Workcell, AssemblyPlan, Program]:
