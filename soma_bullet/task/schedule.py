@@ -74,7 +74,7 @@ class Scheduler:
         return None
 
     def _made(self, search: Search, found: tuple[Assignment, ...]) -> Schedule:
-        return Schedule(found, dict((+self.rejections).most_common()), search.takes, search.releases)
+        return Schedule(found, dict((+self.rejections).most_common()), search.outset.takes, search.outset.releases)
 
     def _rearranged(self, width: int) -> Schedule | None:
         """The first schedule with pieces laid down elsewhere before the first step, for the steps that the search stops at.
@@ -90,7 +90,7 @@ class Scheduler:
             def add(search: Search) -> None:
                 moved = {regrasp.piece for regrasp in search.prologue}
                 k = search.deepest
-                if k in helpless and self.plan.steps[k].piece not in moved and search.carried is None:
+                if k in helpless and self.plan.steps[k].piece not in moved and search.outset.carried is None:
                     ways = islice(_distinct(search.prepare(k)), BRANCHES)
                     heapq.heappush(queue, (-k, len(search.prologue), next(serial), search, ways))  # noqa: B023
 
@@ -170,7 +170,7 @@ class Scheduler:
                 self.workcell, self.plan, self.feed, poses, self.start, self.rejections, self.excluded, self._effort
             )  # fmt: skip
         before = self._search(prepared[:-1])
-        if before is None or before.carried is not None:
+        if before is None or before.outset.carried is not None:
             return None
         made = (self._after(before, regrasps) for regrasps in before.prepare(prepared[-1]))
         return next((search for search in made if search is not None), None)

@@ -17,18 +17,19 @@ from functools import cached_property
 import numpy as np
 
 from soma_bullet.errors import NoSolutionError
-from soma_bullet.frames import Array, Indices, inverse, readonly
+from soma_bullet.frames import Array, Indices, readonly
 from soma_bullet.planner.assembly_plan import AssemblyPlan
-from soma_bullet.task.assignments import Assignment, Carried, HandOver, Pick, PutDown, Regrasp, Release, Start, Take, key, way
+from soma_bullet.task.assignments import Assignment, HandOver, Pick, Regrasp, Start, key
 from soma_bullet.task.feed import Feed
 from soma_bullet.task.fetch import CHAINS, Action, Fetcher, View
 from soma_bullet.task.holding import State
 from soma_bullet.task.options import Candidate
+from soma_bullet.task.outset import set_out
 from soma_bullet.task.placing import RUN_IN, Placer, Placing
 from soma_bullet.task.spots import bearings, comfort, spread
-from soma_bullet.task.tracing import Effort, Grip, TooManyLines, Tracer
+from soma_bullet.task.tracing import Effort, TooManyLines, Tracer
 from soma_bullet.task.turns import Option, Turns
-from soma_bullet.task.workcell import Hands, Workcell
+from soma_bullet.task.workcell import Workcell
 
 LOOKED_AT = 12  # as many candidates as are wanted are looked at before the piece is regrasped instead
 SHALLOW = 8  # candidates a step; no more, and a piece that one grasp can bring is not regrasped
@@ -46,6 +47,7 @@ class Search:
         poses: T_world_piece of every piece once `prologue` is done.
         prologue: regrasps that come before the first step.
         excluded: what a later stage ruled out: (step, arm, grasp), or the `key` of a way to regrasp.
+        outset: what there is before the prologue.
     """
 
     def __init__(
@@ -63,13 +65,11 @@ class Search:
         self.first = 0 if start is None else start.step
         self.placer = Placer(self.tracer, plan, self.fetcher, self.poses, self.first)
         self.finder = self.placer.finder
-        self._begun: State | None = None
-        self.takes: tuple[Take, ...] = ()
-        self.releases: tuple[Release, ...] = ()
         self._dead: set[tuple[object, ...]] = set()  # states that no further step follows
         self.deepest = self.first  # step that the search has come to
-        self.carried, stowed = (None, ()) if prologue else self._in_hand()
-        self.prologue = (*stowed, *prologue)
+        self.outset = set_out(self.placer, start, stowed=bool(prologue))
+        self.poses.update({put.piece: put.pose_down for put in self.outset.stowed})
+        self.prologue = (*self.outset.stowed, *prologue)
         self.fetcher.moved = frozenset(regrasp.piece for regrasp in self.prologue)
 
     def find(self, width: int, lines: int) -> tuple[Assignment, ...] | None:
@@ -81,7 +81,7 @@ class Search:
         turns = self.turns  # their lines do not count
         self.tracer.most_lines = self.tracer.lines + lines
         try:
-            for assignments in self._search(self.first, self._initial(), width, None, turns):
+            for assignments in self._search(self.first, self.outset.state, width, None, turns):
                 if self.prologue and assignments:
                     assignments[0] = replace(assignments[0], regrasps=(*self.prologue, *assignments[0].regrasps))
                 return tuple(assignments)
@@ -92,7 +92,7 @@ class Search:
     def prepare(self, k: int) -> Iterator[tuple[Regrasp, ...]]:
         """Ways to lay the piece of step k down so that a grasp for its goal serves, before the first step."""
         self.tracer.most_lines = 10**9
-        view = self._view(k, self._initial())
+        view = self._view(k, self.outset.state)
         lying = {name: pose for name, pose in self.placer.lying(self.first - 1).items() if name != view.piece}
         view = replace(view, step=-2 - k, lying=lying)
         graph = self.fetcher.graph(view.piece)
@@ -169,74 +169,10 @@ class Search:
         """Whether the hand can have the piece, where it lies, by a grasp that serves at the goal."""
         return bool(self.fetcher.clear_at(view, view.source)[sorted(self.placer.allowed(k))].any())
 
-    # --- where the search starts ---------------------------------------------------------------------------------------
-
-    def _initial(self) -> State:
-        if self._begun is None:
-            found, before = self._as_found(), self.first - 1
-            if self.first:
-                changed = self.placer.holding.settle(before, found, self.placer.lying(before))
-                if changed is None:
-                    raise NoSolutionError("schedule", "the hands cannot go on from how they hold", self.rejections)
-                self.takes, self.releases, found = changed
-            self._begun = found
-        return self._begun
-
-    def _as_found(self) -> State:
-        if self.start is None:
-            return State({}, self.workcell.idle())
-        hands = self.start.hands
-        grip = {piece: self.robot.tcp(arm, hands.qs[arm]) for arm, piece in hands.gripped.items()}
-        for arm in range(len(self.workcell.cell.arms)):
-            if arm not in hands.gripped:
-                hands = hands.with_arm(arm, self.robot.home[arm], 0.0)
-        return State({s.piece: self.placer.placed_pose(s.piece) for s in self.plan.steps[: self.first]}, hands, grip)
-
-    def _in_hand(self) -> tuple[tuple[int, Grip] | None, tuple[Regrasp, ...]]:
-        """What an arm carries at the start; pieces whose turn is not now are put down first, one after the other."""
-        carrying = self.start.carrying if self.start is not None else ()
-        kept: tuple[int, Grip] | None = None
-        hands, stowed = self._initial().hands, list[tuple[str, int, Grip]]()
-        for carried in carrying:
-            grip, piece, arm = self._grip(carried), carried.piece, carried.arm
-            if piece == self.plan.steps[self.first].piece:
-                kept = arm, grip
-            else:
-                stowed.append((piece, arm, grip))
-            if len(carrying) > 1:  # it stands still meanwhile with what it has
-                assert self.start is not None
-                hands = hands.with_arm(arm, self.start.hands.qs[arm], grip.width).gripping(arm, piece)
-        puts = list[PutDown]()
-        for piece, arm, grip in stowed:
-            puts.append(self._put_away(hands.gripping(arm, None), piece, arm, grip, puts))
-            self.poses[piece] = puts[-1].pose_down
-            hands = hands.with_arm(arm, self.robot.home[arm], 0.0).gripping(arm, None)
-        return kept, tuple(puts)
-
-    def _grip(self, carried: Carried) -> Grip:
-        """How a hand has what it carries."""
-        assert self.start is not None
-        graph, T_piece_tcp = self.fetcher.graph(carried.piece), inverse(carried.T_tcp_piece)
-        index, _, _ = graph.nearest(T_piece_tcp)
-        return Grip(index, readonly(T_piece_tcp), float(self.start.hands.openings[carried.arm]), float(graph.contact[index]))
-
-    def _put_away(self, hands: Hands, piece: str, arm: int, grip: Grip, before: list[PutDown]) -> PutDown:
-        """How an arm lays down what it carries after others have done so, those being as `hands` has them."""
-        lying = {s.piece: self.poses[s.piece] for s in self.plan.steps[self.first :] if s.piece != piece}
-        view = View(-1, piece, self.poses[piece], (arm, grip), lying, self._initial().placed, hands, (arm,))
-        for rest in range(len(self.fetcher.graph(piece).resting)):
-            poses = self.fetcher.places(view, rest)
-            cost = comfort(self.robot, arm, poses @ grip.T_piece_tcp)
-            for n in np.argsort(np.round(cost, 9), kind="stable")[:12]:
-                put = self.fetcher.put_down(view, arm, grip, poses[n])
-                if put is not None and way((*before, put)) not in self.excluded:
-                    return put
-        raise NoSolutionError("schedule", f"{piece} is in a hand and can be put down nowhere", self.rejections)
-
     def _view(self, k: int, state: State) -> View:
         piece = self.plan.steps[k].piece
         free = tuple(arm for arm in range(len(self.workcell.cell.arms)) if arm not in state.hands.gripped)
-        carrying = self.carried if k == self.first else None
+        carrying = self.outset.carried if k == self.first else None
         return View(k, piece, self.poses[piece], carrying, self.placer.lying(k), state.placed, state.hands, free)
 
     # --- candidates, cheapest first ------------------------------------------------------------------------------------
@@ -255,7 +191,7 @@ class Search:
         """The options of all steps, as if both arms were free at each of them."""
         options = {}
         for k in range(self.first, len(self.plan.steps)):
-            view = self._view(k, self._initial())
+            view = self._view(k, self.outset.state)
             options[k] = self.finder.options(k, view, np.array(sorted(self.placer.allowed(k)), int))
         return Turns(self.workcell, options)
 
