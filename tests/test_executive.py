@@ -38,6 +38,7 @@ def executed(moved: str, by: tuple[float, float], options: ExecutionOptions) -> 
 
 
 def ran(program: Program, poses: dict[str, np.ndarray], options: ExecutionOptions, kind: type[Executive]) -> ExecutionLog:
+    """An episode with the pieces at T_world_piece (4, 4)."""
     workcell, plan, _ = planned()
     world = World(workcell.cell, workcell.assembly, program.stand, poses, np.array(workcell.robot.home), Physics())
     try:

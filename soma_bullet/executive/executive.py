@@ -290,7 +290,7 @@ class Executive:
         if trouble is not None and lost:
             self._withdraw(program, trouble.index, trouble.segment)
         for arm, piece in sorted(self.gripped.items()):
-            if list(self.gripped.values()).count(piece) > 1:  # amid a hand-over
+            if list(self.gripped.values()).count(piece) > 1:  # amid a hand-over: one of the two hands lets go
                 self._back_away(arm, piece)
         poses = self._look()
         fallen = self._fallen(poses)

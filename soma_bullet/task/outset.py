@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from soma_bullet.errors import NoSolutionError
-from soma_bullet.frames import Array, inverse, readonly
+from soma_bullet.frames import inverse, readonly
 from soma_bullet.task.assignments import Carried, PutDown, Release, Start, Take, way
 from soma_bullet.task.fetch import View
 from soma_bullet.task.holding import State
@@ -41,6 +41,8 @@ def set_out(placer: Placer, start: Start | None, stowed: bool = False) -> Outset
     """Where a search sets out, all pieces on the table or from a state as found.
 
     Args:
+        placer: of the search; its fetcher says what is ruled out.
+        start: the state as found; None where nothing is in place yet, and hands are empty.
         stowed: what hands carry has been laid down already.
 
     Raises:
@@ -62,6 +64,7 @@ def set_out(placer: Placer, start: Start | None, stowed: bool = False) -> Outset
 
 
 def _as_found(placer: Placer, start: Start) -> State:
+    """What is in place and held; arms that hold nothing in place count as at home."""
     hands, robot = start.hands, placer.robot
     grip = {piece: robot.tcp(arm, hands.qs[arm]) for arm, piece in hands.gripped.items()}
     for arm, home in enumerate(robot.home):
@@ -88,7 +91,7 @@ def _in_hands(placer: Placer, start: Start, found: State) -> tuple[tuple[int, Gr
         hands = hands.gripping(carried.arm, None)
         lying = {name: pose for name, pose in poses.items() if name != carried.piece}
         view = View(-1, carried.piece, poses[carried.piece], (carried.arm, grip), lying, found.placed, hands, (carried.arm,))
-        puts = (*puts, _put_down(placer, view, carried.arm, grip, puts))
+        puts = (*puts, _put_down(placer, view, puts))
         poses[carried.piece] = puts[-1].pose_down
         hands = hands.with_arm(carried.arm, placer.robot.home[carried.arm], 0.0)
     return kept, puts
@@ -101,11 +104,12 @@ def _grip(placer: Placer, start: Start, carried: Carried) -> Grip:
     return Grip(index, readonly(T_piece_tcp), float(start.hands.openings[carried.arm]), float(graph.contact[index]))
 
 
-def _put_down(placer: Placer, view: View, arm: int, grip: Grip, before: Sequence[PutDown]) -> PutDown:
+def _put_down(placer: Placer, view: View, before: Sequence[PutDown]) -> PutDown:
     """How an arm lays down what it carries, after others have done so."""
-    fetcher = placer.fetcher
+    assert view.carrying is not None
+    fetcher, (arm, grip) = placer.fetcher, view.carrying
     for rest in range(len(fetcher.graph(view.piece).resting)):
-        poses: Array = fetcher.places(view, rest)
+        poses = fetcher.places(view, rest)
         cost = comfort(placer.robot, arm, poses @ grip.T_piece_tcp)
         for n in np.argsort(np.round(cost, 9), kind="stable")[:PLACES]:
             put = fetcher.put_down(view, arm, grip, poses[n])

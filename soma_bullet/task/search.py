@@ -32,10 +32,10 @@ from soma_bullet.task.turns import Option, Turns
 from soma_bullet.task.workcell import Workcell
 
 LOOKED_AT = 12  # as many candidates as are wanted are looked at before the piece is regrasped instead
-SHALLOW = 8  # candidates a step; no more, and a piece that one grasp can bring is not regrasped
+SHALLOW = 8  # candidates a step; no more, and what one grasp can bring is not regrasped, but for the first piece, briefly
 DEEP = 72  # candidates a step; more, and more goal grasps are regrasped
 REGRASPED, WAYS = 6, 2  # goal grasps that are brought about by regrasps, and ways of each kind for one of them
-BRIEF: tuple[tuple[Action, ...], ...] = (("hand over",), ("put down",))
+BRIEF = tuple(chain for chain in CHAINS if len(chain) == 1)
 PREPARATIONS: tuple[tuple[Action, ...], ...] = (("put down",), ("hand over", "put down"), ("put down", "put down"))
 NEAREST, STRAIGHTEST = 4e-3, np.deg2rad(8.0)  # [m], [rad] a carried piece sits in one of its grasps within this
 
