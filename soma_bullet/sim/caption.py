@@ -115,25 +115,26 @@ def vector(values: ArrayLike) -> str:
 
 
 def narration(log: ExecutionLog, least: float) -> list[tuple[float, str, str]]:
-    """Lines as (from when on [s], words, piece), each on show for `least` [s] if what follows leaves the time for it.
+    """Lines as (from when on [s], words, piece), each on show for half of `least` [s] at least.
 
-    That a hand follows what it holds, mostly for the blink of an eye, is said only where it lasts.
+    What is over before there was time to say it is not said; nor that a hand follows what it holds, mostly for the blink of an
+    eye, where that does not last.
     """
-    lines: list[tuple[float, str, str]] = []
+    lines: list[tuple[float, float, str, str]] = []
     for phase in phases(log):
         if phase.kind == "follow" and phase.end - phase.start < 0.5 * least:
             continue  # over before it could be read
-        lines.append((phase.start, says(phase), phase.piece))
+        late = least if phase.kind == "ablation" else 0.0  # by which it may be said afterwards, as a failure may
+        lines.append((phase.start, phase.end + late, says(phase), phase.piece))
         failed = [s for s in phase.segments if s.outcome in FAILURES]
-        lines += [(s.end, f"{s.arm}: {FAILURES[s.outcome].format(piece=s.piece)}", s.piece) for s in failed]
+        lines += [(s.end, s.end + least, f"{s.arm}: {FAILURES[s.outcome].format(piece=s.piece)}", s.piece) for s in failed]
     shown: list[tuple[float, str, str]] = []
     free = -np.inf  # when the line before has been on show for long enough
-    for k, (start, words, piece) in enumerate(lines):
-        until = lines[k + 1][0] if k + 1 < len(lines) else np.inf
+    for start, end, words, piece in lines:
         begin = max(start, free)
-        if begin < until or begin < start + least:
+        if begin < end:
             shown.append((begin, words, piece))
-            free = begin + min(least, max(until - start, 0.5 * least))
+            free = begin + 0.5 * least
     return shown
 
 

@@ -19,7 +19,7 @@ from soma_bullet.records import write_npz
 from soma_bullet.robot.cell import load_cell
 from soma_bullet.robot.model import Cell
 from soma_bullet.sim.camera import CAMERAS
-from soma_bullet.sim.caption import holds, narration, phases, vector
+from soma_bullet.sim.caption import holds, narration, phases, says, vector
 from soma_bullet.sim.crew import Crew, Shot
 from soma_bullet.sim.film import FilmOptions, _interpolated, _stage, film, frame_times, still, storyboard
 from soma_bullet.sim.log import ExecutionLog, SegmentRecord
@@ -150,6 +150,14 @@ def test_words_stay_long_enough_to_be_read(log: ExecutionLog) -> None:
     true = {line: start for start, line, _ in narration(log, 0.0)}
     late = [start - true[line] for start, line, _ in narration(log, 2.0)]
     assert min(late) >= 0.0 and max(late) <= 2.0
+
+
+@pytest.mark.parametrize("least", [1.0, 2.4, 3.6, 6.0])
+def test_what_is_said_goes_on_when_it_is_said(log: ExecutionLog, least: float) -> None:
+    spans = {says(phase): (phase.start, phase.end) for phase in phases(log)}
+    lines = narration(log, least)
+    assert all(spans[words][0] <= start < spans[words][1] for start, words, _ in lines)
+    assert np.diff([start for start, _, _ in lines]).min() >= 0.5 * least - 1e-9
 
 
 @pytest.mark.parametrize(("lasts", "said"), [(0.2, False), (0.6, True)])
