@@ -1,4 +1,5 @@
-"""Timings: the stages of an episode, the planner and the motions against their targets, physics, all 240 Soma cubes."""
+"""Timings: the stages of an episode, the planner and the motions against their targets, physics, all 240 Soma
+cubes."""
 
 from __future__ import annotations
 
@@ -27,7 +28,8 @@ GRASPS = 1000
 
 @dataclass(frozen=True)
 class Stages:
-    """Times the stages of an episode over seeds. Wall times of this machine: compare ratios within one run."""
+    """Times the stages of an episode over seeds. Wall times of this machine: compare ratios within one
+    run."""
 
     assembly: tyro.conf.Positional[str] = "soma3"
     """An assembly file, or the name of one that comes with the package."""
@@ -46,12 +48,14 @@ class Planner:
     """Times the planner against its targets, and says where the time goes: Markdown on stdout."""
 
     runs: int = 5
-    """How often each job is done, afresh each time; the median is printed. Where the time goes is measured once more."""
+    """How often each job is done, afresh each time; the median is printed. Where the time goes is measured
+    once more."""
 
 
 @dataclass(frozen=True)
 class Cube240:
-    """Plans the 240 Soma cubes, and looks for orders without any hold whichever side is down: Markdown on stdout."""
+    """Plans the 240 Soma cubes, and looks for orders without any hold whichever side is down: Markdown on
+    stdout."""
 
     plans: int = 240
     """How many of them are planned in full, drawn by the seed."""
@@ -71,8 +75,9 @@ class Cube240:
 
 @dataclass(frozen=True)
 class Motion:
-    """Times the motions around obstacles of real programs, against targets and, on the very same queries, against the birrt of
-    the package pybullet-planning with its collision function in PyBullet: Markdown on stdout."""
+    """Times the motions around obstacles of real programs, against targets and, on the very same queries,
+    against the birrt of the package pybullet-planning with its collision function in PyBullet: Markdown on
+    stdout."""
 
     assemblies: tuple[str, ...] = ("soma3", "soma4", "cube")
     """Assembly files, or names of ones that come with the package."""
@@ -83,7 +88,8 @@ class Motion:
     birrt: bool = True
     """--no-birrt leaves out the comparison, which takes most of the time."""
     resolution: float = 0.02
-    """Joint step between checked states of birrt [rad]. Ours checks every 0.02; the default of that package is 0.05."""
+    """Joint step between checked states of birrt [rad]. Ours checks every 0.02; the default of that package
+    is 0.05."""
     cell: str = CELL
     """A cell, as for run_episode.py."""
     out: Path = Path("runs/benchmark_motion.json")
@@ -152,7 +158,9 @@ def main(arguments: Stages | Planner | Cube240 | Motion | Simulate | Episode) ->
             episode(arguments, lambda text: sys.stderr.write(text + "\n"))
         else:
             if not (0 <= arguments.plans <= 240 and 0 <= arguments.turned <= 240 and arguments.jobs >= 1):
-                raise InputError("arguments", "--plans and --turned must be from 0 to 240, and --jobs at least 1")
+                raise InputError(
+                    "arguments", "--plans and --turned must be from 0 to 240, and --jobs at least 1"
+                )
             cube240(arguments)
     except SomaBulletError as error:
         sys.stderr.write(f"error: {error}\n")
@@ -160,7 +168,7 @@ def main(arguments: Stages | Planner | Cube240 | Motion | Simulate | Episode) ->
     return 0
 
 
-# --- stages of an episode ----------------------------------------------------------------------------------------------
+# --- stages of an episode -----------------------------------------------------------------------------------
 
 
 def stages(arguments: Stages, say: Callable[[str], object]) -> None:
@@ -171,7 +179,9 @@ def stages(arguments: Stages, say: Callable[[str], object]) -> None:
     width = max(map(len, figures["stages"]))
     sys.stdout.write(f"{'stage':<{width}}  {'median':>10}  {'p95':>10}  runs\n")
     for name, row in figures["stages"].items():
-        sys.stdout.write(f"{name:<{width}}  {row['median_s']:>8.3f} s  {row['p95_s']:>8.3f} s  {row['runs']:>4}\n")
+        sys.stdout.write(
+            f"{name:<{width}}  {row['median_s']:>8.3f} s  {row['p95_s']:>8.3f} s  {row['runs']:>4}\n"
+        )
 
 
 def run(arguments: Stages, say: Callable[[str], object]) -> dict[str, Any]:
@@ -180,11 +190,11 @@ def run(arguments: Stages, say: Callable[[str], object]) -> dict[str, Any]:
 
     from soma_bullet.assembly.file import load_assembly
     from soma_bullet.episode import EpisodeOptions, execute
+    from soma_bullet.judge.judge import judge
     from soma_bullet.planner.plan import make_plan
     from soma_bullet.planner.qualities import PlannerOptions, Qualities
     from soma_bullet.records import package_versions
     from soma_bullet.robot.cell import load_cell
-    from soma_bullet.sim.judge import judge
     from soma_bullet.task.builder import ProgramBuilder
     from soma_bullet.task.feed import draw_feed
     from soma_bullet.task.program import make_program
@@ -223,8 +233,12 @@ def run(arguments: Stages, say: Callable[[str], object]) -> dict[str, Any]:
         if arguments.stages == "planning":
             continue
         with watch.measure("execution"):
-            log = execute(assembly, workcell, plan, program, EpisodeOptions(seed=seed), lambda what, fraction: None)
-        watch.seconds["execution, a simulated second"].append(watch.seconds["execution"][-1] / float(log.times[-1]))
+            log = execute(
+                assembly, workcell, plan, program, EpisodeOptions(seed=seed), lambda what, fraction: None
+            )
+        watch.seconds["execution, a simulated second"].append(
+            watch.seconds["execution"][-1] / float(log.times[-1])
+        )
         with watch.measure("judgement"):
             judge(log, assembly, cell, EpisodeOptions().tolerance)
     figures = {
@@ -240,7 +254,7 @@ def run(arguments: Stages, say: Callable[[str], object]) -> dict[str, Any]:
     }
 
 
-# --- the planner against its targets -----------------------------------------------------------------------------------
+# --- the planner against its targets ------------------------------------------------------------------------
 
 # name: target, factor and unit that it is printed in
 TARGETS = {
@@ -275,11 +289,19 @@ def planner(runs: int) -> None:
         values = " | ".join(f"{value * factor:.3g} {unit}" for value in (target, wall, cpu))
         lines.append(f"| {job} | < {values} | {_met(wall, cpu, target)} |")
     peak = _peak_memory()
-    lines.append(f"| peak memory of the cube's plan | < {MEMORY:.0f} MB | {peak:.0f} MB | | {_met(peak, peak, MEMORY)} |")
-    lines += ["", "| share of the CPU time | " + " | ".join(f"{name}, {mode}" for name, mode in PLANNED) + " |"]
+    lines.append(
+        f"| peak memory of the cube's plan | < {MEMORY:.0f} MB | {peak:.0f} MB | | "
+        f"{_met(peak, peak, MEMORY)} |"
+    )
+    lines += [
+        "",
+        "| share of the CPU time | " + " | ".join(f"{name}, {mode}" for name, mode in PLANNED) + " |",
+    ]
     lines.append("|-" * (len(PLANNED) + 1) + "|")
     for label in (*_timed(), "search and rows"):
-        lines.append(f"| {label} | " + " | ".join(f"{_share(shares[key], label):.0%}" for key in PLANNED) + " |")
+        lines.append(
+            f"| {label} | " + " | ".join(f"{_share(shares[key], label):.0%}" for key in PLANNED) + " |"
+        )
     lines.append("| all | " + " | ".join(f"{sum(shares[key].values()):.2f} s" for key in PLANNED) + " |")
     sys.stdout.write("\n".join(lines) + "\n")
 
@@ -293,7 +315,8 @@ def _share(seconds: dict[str, float], label: str) -> float:
 
 
 def _timed() -> dict[str, list[tuple[Any, str]]]:
-    """Functions of the planner by the analyzer that they belong to: what they call counts for it unless it is listed too."""
+    """Functions of the planner by the analyzer that they belong to: what they call counts for it unless it is
+    listed too."""
     from soma_bullet.planner import plan
     from soma_bullet.planner.qualities import Qualities
 
@@ -301,7 +324,9 @@ def _timed() -> dict[str, list[tuple[Any, str]]]:
         "stability programs": [(Qualities, "stability")],
         "hulls of paper mode": [(Qualities, "paper_stability")],
         "sampling of grasps": [(Qualities, "grasps")],
-        "grasps clear of pieces": [(Qualities, name) for name in ("accessible", "candidates", "_clear_of_way")],
+        "grasps clear of pieces": [
+            (Qualities, name) for name in ("accessible", "candidates", "_clear_of_way")
+        ],
         "hand against hand": [(Qualities, name) for name in ("assisting", "can_assist", "together")],
         "ways in": [(Qualities, "assemblability")],
         "certificates of holds": [(plan, "certify_hold")],
@@ -332,7 +357,11 @@ def _clocks() -> Iterator[dict[str, float]]:
 
         return call
 
-    originals = [(owner, name, getattr(owner, name), label) for label, group in _timed().items() for owner, name in group]
+    originals = [
+        (owner, name, getattr(owner, name), label)
+        for label, group in _timed().items()
+        for owner, name in group
+    ]
     for owner, name, function, label in originals:
         setattr(owner, name, clocked(function, label))
     try:
@@ -395,15 +424,17 @@ def _hand() -> Hand:
 def _peak_memory() -> float:
     """Largest resident size [MB] of a process of its own that plans the cube."""
     code = (
-        "import resource; from soma_bullet.assembly.file import load_assembly; from soma_bullet.planner.plan import make_plan; "
-        f"from soma_bullet.robot.cell import load_cell; make_plan(load_assembly('cube'), load_cell('{CELL}').arms[0].hand); "
+        "import resource; from soma_bullet.assembly.file import load_assembly; from "
+        "soma_bullet.planner.plan import make_plan; "
+        f"from soma_bullet.robot.cell import load_cell; make_plan(load_assembly('cube'), "
+        f"load_cell('{CELL}').arms[0].hand); "
         "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     return float(done.stdout) * 1024 / 1e6
 
 
-# --- motions against targets and against birrt --------------------------------------------------------------------------
+# --- motions against targets and against birrt --------------------------------------------------------------
 
 CHAIN_MEDIAN, CHAIN_P95, FASTER = 0.025, 0.080, 15.0  # [s], [s], times
 AROUND = ("transit", "transfer", "home")  # motions that go around obstacles
@@ -481,7 +512,9 @@ def motion(arguments: Motion, say: Callable[[str], object]) -> None:
             figures += timed
     if not figures:
         raise InputError("arguments", "no program was found for any of the feeds")
-    versions = package_versions() | ({"pybullet-planning": metadata.version("pybullet-planning")} if arguments.birrt else {})
+    versions = package_versions() | (
+        {"pybullet-planning": metadata.version("pybullet-planning")} if arguments.birrt else {}
+    )
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     tree = {"queries": [asdict(row) for row in figures], "versions": versions}
     arguments.out.write_text(json.dumps(tree, indent=1) + "\n", encoding="utf-8")
@@ -522,7 +555,8 @@ def _queries(name: str, workcell: Any, seed: int, poses: str) -> list[Query]:
 
 
 def _time_chain(workcell: Any, query: Query) -> Timed:
-    """From the pose of the hand at the goal to the timed motion, checked again; the scene is there already."""
+    """From the pose of the hand at the goal to the timed motion, checked again; the scene is there
+    already."""
     import numpy as np
 
     from soma_bullet.motion.line import LineError, line_back
@@ -536,9 +570,16 @@ def _time_chain(workcell: Any, query: Query) -> Timed:
     scene = scene_of(workcell, context, arm)
     width = float(query.widths.max())
     free = lambda q: scene.collides(workcell.configuration(context.hands, arm, q, width))  # noqa: E731
-    scene.collides(workcell.configuration(context.hands, arm, start, width))  # the broad phase is built with the scene
+    scene.collides(
+        workcell.configuration(context.hands, arm, start, width)
+    )  # the broad phase is built with the scene
     seconds: dict[str, float] = dict.fromkeys(PARTS, 0.0)
-    hooks = {"plan_transfer": "plan and shortcuts", "blend_corners": "blend", "time_path": "timing", "check": "checked again"}
+    hooks = {
+        "plan_transfer": "plan and shortcuts",
+        "blend_corners": "blend",
+        "time_path": "timing",
+        "check": "checked again",
+    }
     wall, cpu = time.perf_counter(), time.process_time()
     pose = robot.tcp(arm, goal)
     robot.inverse(arm, pose, start)
@@ -546,16 +587,26 @@ def _time_chain(workcell: Any, query: Query) -> Timed:
     if query.line is not None:
         length = float(np.linalg.norm(query.line))
         mark = time.process_time()
-        # at a goal that a line starts from, what it touches at its far end is not of this scene: free all the way or not
+        # at a goal that a line starts from, what it touches at its far end is not of this scene: free all the
+        # way or not
         with suppress(LineError):
             line_back(robot, arm, goal, pose, query.line / length, length, free)
         seconds["line traced"] = time.process_time() - mark
     with _hooked(motions, hooks, seconds):
         try:
-            found = motions.plan_motion(workcell, scene, context.hands, arm, start, goal, query.widths, query.seed)
+            found = motions.plan_motion(
+                workcell, scene, context.hands, arm, start, goal, query.widths, query.seed
+            )
         except (TransferError, TimingError):
             found = None
-    return Timed(query.name, segment.kind, found is not None, time.process_time() - cpu, time.perf_counter() - wall, seconds)
+    return Timed(
+        query.name,
+        segment.kind,
+        found is not None,
+        time.process_time() - cpu,
+        time.perf_counter() - wall,
+        seconds,
+    )
 
 
 @contextmanager
@@ -585,22 +636,28 @@ def _hooked(module: Any, hooks: dict[str, str], seconds: dict[str, float]) -> It
 class _BirrtWorld:
     """The cell in PyBullet, for pybullet-planning: it takes the first client, which it expects to be its own.
 
-    Each arm is a body; the other arm, table, stand and pieces are obstacles. Pairs that may touch are left out as in the
-    scenes of ours: a hand and the piece that it carries, pieces that meet in the assembly, and the cell's `never_checked`.
-    """
+    Each arm is a body; the other arm, table, stand and pieces are obstacles. Pairs that may touch are left
+    out as in the scenes of ours: a hand and the piece that it carries, pieces that meet in the assembly, and
+    the cell's `never_checked`."""
 
     def __init__(self, workcell: Any, resolution: float):
         import numpy as np
 
-        from soma_bullet.sim.stage import Physics, Stage
+        from soma_bullet.bullet.stage import Physics, Stage
 
         self.workcell, self.resolution = workcell, resolution
         names = workcell.assembly.names
         poses = {name: np.eye(4) for name in names}
-        self.stage = Stage(  # with all frames, as it would load the URDF; without them it takes 0.6 of the time
-            workcell.cell, workcell.assembly, workcell.robot.stand_size, poses, np.array(workcell.robot.home), Physics(),
+        # with all frames, as it would load the URDF; without them it takes 0.6 of the time
+        self.stage = Stage(
+            workcell.cell,
+            workcell.assembly,
+            workcell.robot.stand_size,
+            poses,
+            np.array(workcell.robot.home),
+            Physics(),
             frames=True,
-        )  # fmt: skip
+        )
         assert self.stage.client == 0, "another client is open"
 
     def __enter__(self) -> _BirrtWorld:
@@ -624,7 +681,11 @@ class _BirrtWorld:
         random.seed(query.seed)
         np.random.seed(query.seed % 2**32)  # noqa: NPY002 (it is what that package draws from)
         steps = np.full(len(joints), self.resolution)
-        tools = get_distance_fn(body, joints), get_sample_fn(body, joints), get_extend_fn(body, joints, resolutions=steps)
+        tools = (
+            get_distance_fn(body, joints),
+            get_sample_fn(body, joints),
+            get_extend_fn(body, joints, resolutions=steps),
+        )
         wall, cpu = time.perf_counter(), time.process_time()
         ends = {"start": blocked(start), "goal": blocked(goal)}
         path = None if any(ends.values()) else birrt(start, goal, *tools, blocked)
@@ -641,7 +702,9 @@ class _BirrtWorld:
 
         stage, context, arm = self.stage, query.context, query.segment.arm
         hands, arms = context.hands, self.workcell.cell.arms
-        openings = [float(query.widths.max()) if k == arm else float(hands.openings[k]) for k in range(len(arms))]
+        openings = [
+            float(query.widths.max()) if k == arm else float(hands.openings[k]) for k in range(len(arms))
+        ]
         for k, body in enumerate(stage.robots):
             for joint, angle in zip(stage.arm_joints[k], hands.qs[k], strict=True):
                 pybullet.resetJointState(body, joint, float(angle))
@@ -655,11 +718,15 @@ class _BirrtWorld:
         if carried is not None:
             name, T_tcp_piece = carried
             child = stage.pieces[name]
-            grasp = to_quat_xyzw(arms[arm].hand.T_mount_tcp @ T_tcp_piece @ inverse(stage.T_inertial_piece[name]))
+            grasp = to_quat_xyzw(
+                arms[arm].hand.T_mount_tcp @ T_tcp_piece @ inverse(stage.T_inertial_piece[name])
+            )
             attachments.append(Attachment(body, stage.wrists[arm], grasp, child))
             hand = self.workcell.collision.hand_links
             allowed |= {
-                ((body, link[1]), (child, -1)) for name, link in stage.links.items() if name in hand and link[0] == body
+                ((body, link[1]), (child, -1))
+                for name, link in stage.links.items()
+                if name in hand and link[0] == body
             }
         for pair in context.touching:
             parts = [(stage.pieces | stage.fixtures).get(name) for name in pair]
@@ -667,7 +734,11 @@ class _BirrtWorld:
                 allowed.add(tuple((part, -1) for part in parts))
         for name, other in hands.gripped.items():
             if name == arm:
-                allowed |= {((body, link[1]), (stage.pieces[other], -1)) for link in stage.links.values() if link[0] == body}
+                allowed |= {
+                    ((body, link[1]), (stage.pieces[other], -1))
+                    for link in stage.links.values()
+                    if link[0] == body
+                }
         ignored = set()
         for pair in self.workcell.cell.never_checked:
             ends = [stage.links.get(name) for name in pair]
@@ -702,7 +773,10 @@ def motion_table(figures: list[Timed]) -> str:
     groups = {kind: [row for row in figures if row.kind == kind] for kind in AROUND} | {"all": figures}
     for name, rows in groups.items():
         solved = f"{sum(row.solved for row in rows)} of {len(rows)}"
-        lines.append(f"| {name} | {solved} | {spread([row.cpu for row in rows])} | {spread([row.wall for row in rows])} |")
+        lines.append(
+            f"| {name} | {solved} | {spread([row.cpu for row in rows])} | "
+            f"{spread([row.wall for row in rows])} |"
+        )
     total = sum(row.cpu for row in figures)
     lines += ["", "| part of the chain | CPU, median | CPU, p95 | share |", "|-|-|-|-|"]
     for part in PARTS:
@@ -721,71 +795,92 @@ def motion_table(figures: list[Timed]) -> str:
     if both:
         times = [_ratio(both, "wall"), _ratio(both, "cpu")]
         met = "yes" if min(times) >= FASTER else "no"
-        lines.append(f"| birrt's median over ours | > {FASTER:.0f} | {times[0]:.1f} | {times[1]:.1f} | {met} |")
+        lines.append(
+            f"| birrt's median over ours | > {FASTER:.0f} | {times[0]:.1f} | {times[1]:.1f} | {met} |"
+        )
     if compared:
-        lines += ["", "| the same queries | ours solved | birrt solved | ours, median | birrt, median | birrt, p95 | ratio |"]
+        lines += [
+            "",
+            "| the same queries | ours solved | birrt solved | ours, median | birrt, median | birrt, p95 | "
+            "ratio |",
+        ]
         lines.append("|-|-|-|-|-|-|-|")
     for name in (*AROUND, "all") if compared else ():
         rows = [row for row in compared if name in (row.kind, "all")]
         done = [row for row in both if name in (row.kind, "all")]
-        counts = f"{sum(row.solved for row in rows)} of {len(rows)} | {sum(bool(r.birrt_solved) for r in rows)} of {len(rows)}"
+        counts = (
+            f"{sum(row.solved for row in rows)} of {len(rows)} | {sum(bool(r.birrt_solved) for r in rows)} "
+            f"of {len(rows)}"
+        )
         if done:
             ours = f"{np.median([row.cpu for row in done]) * 1e3:.1f} ms"
             theirs = spread([row.birrt_cpu for row in done])
             lines.append(f"| {name} | {counts} | {ours} | {theirs} | {_ratio(done, 'cpu'):.1f} |")
     hits = sum(bool(row.birrt_note) for row in compared)
     if hits:
-        lines += ["", f"birrt was not begun in {hits} cases: its world has the start or the goal in collision."]
+        lines += [
+            "",
+            f"birrt was not begun in {hits} cases: its world has the start or the goal in collision.",
+        ]
     return "\n".join(lines) + "\n"
 
 
-# --- physics and whole episodes ----------------------------------------------------------------------------------------
+# --- physics and whole episodes -----------------------------------------------------------------------------
 
 
 def simulate(arguments: Simulate) -> None:
     """Prints how fast one program runs in physics."""
     from soma_bullet.assembly.file import load_assembly
+    from soma_bullet.bullet.simulator import BulletSimulator
     from soma_bullet.episode import EpisodeOptions, execute
     from soma_bullet.planner.qualities import PlannerOptions
     from soma_bullet.planner.store import kept_plan
     from soma_bullet.robot.cell import load_cell
-    from soma_bullet.sim.world import World
     from soma_bullet.task.feed import FeedOptions, draw_feed
     from soma_bullet.task.overlap import overlapped
     from soma_bullet.task.program import make_program
     from soma_bullet.task.workcell import Workcell
 
-    options = EpisodeOptions(cell=arguments.cell, seed=arguments.seed, feed=FeedOptions(poses=arguments.poses))
+    options = EpisodeOptions(
+        cell=arguments.cell, seed=arguments.seed, feed=FeedOptions(poses=arguments.poses)
+    )
     assembly, cell = load_assembly(arguments.assembly), load_cell(arguments.cell)
     workcell = Workcell(assembly, cell)
     plan = kept_plan(assembly, cell.arms[0].hand, PlannerOptions(seed=arguments.seed))
     feed = draw_feed(assembly, plan, cell, arguments.seed, options.feed)
     program = overlapped(workcell, make_program(workcell, plan, feed, arguments.seed))
     taken: dict[int, list[float]] = defaultdict(list)  # hands that squeeze -> CPU time of steps
-    step = World.step
+    step = BulletSimulator.step
 
-    def timed(world: World) -> None:
+    def timed(world: BulletSimulator) -> None:
         start = time.process_time()
         step(world)
         taken[sum(force > 0.0 for force in world._squeezing)].append(time.process_time() - start)
 
-    World.step = timed  # type: ignore[method-assign]
+    BulletSimulator.step = timed  # type: ignore[method-assign]
     wall, cpu = time.perf_counter(), time.process_time()
     try:
         log = execute(assembly, workcell, plan, program, options, lambda what, fraction: None)
     finally:
-        World.step = step  # type: ignore[method-assign]
+        BulletSimulator.step = step  # type: ignore[method-assign]
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     dt, simulated = options.physics.dt, float(log.times[-1])
     lines = ["| what runs | simulated | CPU | times real time |", "|-|-|-|-|"]
     names = {0: "steps, nothing gripped", 1: "steps, one hand grips", 2: "steps, both hands grip"}
     for hands, seconds in sorted(taken.items()):
         lines.append(
-            f"| {names[hands]} | {len(seconds) * dt:.1f} s | {sum(seconds):.2f} s | {len(seconds) * dt / sum(seconds):.1f} |"
+            f"| {names[hands]} | {len(seconds) * dt:.1f} s | {sum(seconds):.2f} s | "
+            f"{len(seconds) * dt / sum(seconds):.1f} |"
         )
     rest = cpu - sum(map(sum, taken.values()))
-    lines.append(f"| control, measuring and the log | {simulated:.1f} s | {rest:.2f} s | {simulated / max(rest, 1e-9):.1f} |")
-    lines.append(f"| all | {simulated:.1f} s | {cpu:.2f} s | {simulated / cpu:.1f} ({simulated / wall:.1f} by wall time) |")
+    lines.append(
+        f"| control, measuring and the log | {simulated:.1f} s | {rest:.2f} s | "
+        f"{simulated / max(rest, 1e-9):.1f} |"
+    )
+    lines.append(
+        f"| all | {simulated:.1f} s | {cpu:.2f} s | {simulated / cpu:.1f} ({simulated / wall:.1f} by wall "
+        f"time) |"
+    )
     sys.stdout.write("\n".join(lines) + f"\n\nended: {log.ended}\n")
 
 
@@ -815,17 +910,22 @@ def episode(arguments: Episode, say: Callable[[str], object]) -> None:
             seconds[stage].append(value)
         verdicts.append(report.success)
         makespans.append(report.makespan_s)
-        say(f"seed {seed}: {seconds['all'][-1]:.1f} s, {'success' if report.success else report.judgement.causes[0]}")
+        say(
+            f"seed {seed}: {seconds['all'][-1]:.1f} s, "
+            f"{'success' if report.success else report.judgement.causes[0]}"
+        )
     if not verdicts:
         raise NoSolutionError("schedule", "no episode had a program")
     seconds["all"] = seconds.pop("all")  # last
     lines = ["| stage | median | p95 |", "|-|-|-|"]
     lines += [f"| {s} | {np.median(v):.2f} s | {np.percentile(v, 95):.2f} s |" for s, v in seconds.items()]
-    lines.append(f"| makespan, simulated | {np.median(makespans):.1f} s | {np.percentile(makespans, 95):.1f} s |")
+    lines.append(
+        f"| makespan, simulated | {np.median(makespans):.1f} s | {np.percentile(makespans, 95):.1f} s |"
+    )
     sys.stdout.write("\n".join(lines) + f"\n\n{sum(verdicts)} of {len(verdicts)} succeeded\n")
 
 
-# --- all Soma cubes ----------------------------------------------------------------------------------------------------
+# --- all Soma cubes -----------------------------------------------------------------------------------------
 
 
 def cube240(arguments: Cube240) -> None:
@@ -840,14 +940,21 @@ def cube240(arguments: Cube240) -> None:
     with Progress(console=Console(stderr=True)) as bar:
         task = bar.add_task("cubes", total=arguments.plans + arguments.turned)
         plans, turns = survey_cubes(
-            arguments.plans, arguments.turned, arguments.orientations, arguments.grasps, arguments.seed, arguments.jobs,
+            arguments.plans,
+            arguments.turned,
+            arguments.orientations,
+            arguments.grasps,
+            arguments.seed,
+            arguments.jobs,
             lambda: bar.advance(task),
-        )  # fmt: skip
+        )
     figures = {"plans": to_tree(plans), "turns": to_tree(turns), "versions": package_versions()}
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     arguments.out.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
     sys.stdout.write(cube_table(plans, turns))
-    sys.stderr.write(f"{time.perf_counter() - start:.0f} s in {arguments.jobs} processes; written to {arguments.out}\n")
+    sys.stderr.write(
+        f"{time.perf_counter() - start:.0f} s in {arguments.jobs} processes; written to {arguments.out}\n"
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,5 @@
-"""Compare two evaluation runs seed by seed: which succeeds where, whether that may be chance, and how insertions went."""
+"""Compare two evaluation runs seed by seed: which succeeds where, whether that may be chance, and how
+insertions went."""
 
 from __future__ import annotations
 
@@ -28,8 +29,8 @@ SMALLEST_MM = 0.01  # on axes of the figure; what is smaller is drawn there
 class Arguments:
     """Pairs the episodes of two runs of scripts/evaluate.py by seed, and their insertions by seed and piece.
 
-    Prints a table, and writes comparison.json and comparison.png. Exit status: 0 compared, whoever is better; 2 bad input.
-    """
+    Prints a table, and writes comparison.json and comparison.png. Exit status: 0 compared, whoever is better;
+    2 bad input."""
 
     a: tyro.conf.Positional[Path]
     """The folder of one run (or its episodes.jsonl): the one to improve on."""
@@ -69,7 +70,7 @@ def _run(arguments: Arguments) -> int:
     return 0
 
 
-# --- the table ---------------------------------------------------------------------------------------------------------
+# --- the table ----------------------------------------------------------------------------------------------
 
 
 def table(comparison: Comparison) -> Table:
@@ -90,7 +91,9 @@ def table(comparison: Comparison) -> Table:
     _add_contrast(rows, "makespan where both succeed [s]", comparison.makespan_s)
     _add_contrast(rows, "error of the worst piece [mm]", comparison.worst_mm)
     if comparison.unpaired_a or comparison.unpaired_b:
-        rows.add_row("seeds without a partner", str(comparison.unpaired_a), str(comparison.unpaired_b), "left out")
+        rows.add_row(
+            "seeds without a partner", str(comparison.unpaired_a), str(comparison.unpaired_b), "left out"
+        )
     rows.add_section()
     if comparison.insertions is None:
         rows.add_row("insertions", "-", "-", "the lines do not say how they went")
@@ -105,7 +108,10 @@ def _title(comparison: Comparison) -> str:
 
 def _add_pairs(rows: Table, what: str, pairs: Pairs, a: Rate, b: Rate) -> None:
     rows.add_row(what, _share(a), _share(b), f"McNemar p = {pairs.p:.2g}, of {pairs.count} pairs")
-    counts = f"both {pairs.both}, [b]only A {pairs.only_a}[/], [b]only B {pairs.only_b}[/], neither {pairs.neither}"
+    counts = (
+        f"both {pairs.both}, [b]only A {pairs.only_a}[/], [b]only B {pairs.only_b}[/], neither "
+        f"{pairs.neither}"
+    )
     rows.add_row("", "", "", counts)
 
 
@@ -122,8 +128,18 @@ def _add_contrast(rows: Table, what: str, found: Contrast) -> None:
 
 def _add_insertions(rows: Table, found: Insertions) -> None:
     _add_pairs(rows, "insertions that go in", found.pairs, found.rate_a, found.rate_b)
-    rows.add_row("those that fail in A go in in B", "", _share(found.rescued), f"{found.rescued.good} of {found.rescued.count}")
-    rows.add_row("those that fail in B go in in A", _share(found.spoilt), "", f"{found.spoilt.good} of {found.spoilt.count}")
+    rows.add_row(
+        "those that fail in A go in in B",
+        "",
+        _share(found.rescued),
+        f"{found.rescued.good} of {found.rescued.count}",
+    )
+    rows.add_row(
+        "those that fail in B go in in A",
+        _share(found.spoilt),
+        "",
+        f"{found.spoilt.good} of {found.spoilt.count}",
+    )
     numbers = (
         ("peak force [N], p95 and largest", found.peak_a, found.peak_b, "paired"),
         ("", found.all_peak_a, found.all_peak_b, "all"),
@@ -131,7 +147,9 @@ def _add_insertions(rows: Table, found: Insertions) -> None:
         ("", found.all_neighbours_a, found.all_neighbours_b, "all"),
     )
     for what, a, b, which in numbers:
-        rows.add_row(what.replace("[", r"\["), _largest(a), _largest(b), f"{which}: {a.count} and {b.count} insertions")
+        rows.add_row(
+            what.replace("[", r"\["), _largest(a), _largest(b), f"{which}: {a.count} and {b.count} insertions"
+        )
     rows.add_row("reached in one run alone", "", "", f"{found.unpaired}, left out")
     rows.add_row("after one that failed in either", "", "", f"{found.later}, left out")
 
@@ -144,29 +162,53 @@ def _largest(found: Extremes) -> str:
     return f"{found.p95:.3g}, {found.largest:.3g}" if found.count else "-"
 
 
-# --- the figure --------------------------------------------------------------------------------------------------------
+# --- the figure ---------------------------------------------------------------------------------------------
 
 
 def draw(comparison: Comparison, path: Path) -> None:
-    """One figure: the rates with their intervals, the worst pieces pair by pair, forces and neighbours of the insertions."""
+    """One figure: the rates with their intervals, the worst pieces pair by pair, forces and neighbours of the
+    insertions."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
     style: dict[Any, Any] = {
-        "font.size": 9, "axes.edgecolor": QUIET, "axes.labelcolor": INK, "text.color": INK, "xtick.color": INK,
-        "ytick.color": INK, "axes.spines.top": False, "axes.spines.right": False, "axes.titlelocation": "left",
-        "axes.titlesize": 10, "axes.titlepad": 9, "figure.dpi": 150,
-    }  # fmt: skip
+        "font.size": 9,
+        "axes.edgecolor": QUIET,
+        "axes.labelcolor": INK,
+        "text.color": INK,
+        "xtick.color": INK,
+        "ytick.color": INK,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.titlelocation": "left",
+        "axes.titlesize": 10,
+        "axes.titlepad": 9,
+        "figure.dpi": 150,
+    }
     path.parent.mkdir(parents=True, exist_ok=True)
     with plt.rc_context(style):
-        figure, axes = plt.subplots(1, 4, figsize=(15, 4.2), width_ratios=(1.25, 1.1, 1.0, 1.0), layout="constrained")
+        figure, axes = plt.subplots(
+            1, 4, figsize=(15, 4.2), width_ratios=(1.25, 1.1, 1.0, 1.0), layout="constrained"
+        )
         figure.suptitle(_heading(comparison), x=0.01, ha="left", fontsize=12, fontweight="bold")
         _draw_rates(axes[0], comparison)
         _draw_worst(axes[1], comparison)
-        _draw_share(axes[2], comparison.insertions, "peak_n", "peak force of an insertion", "change of the wrist's force [N]")
-        _draw_share(axes[3], comparison.insertions, "neighbours_mm", "motion of what is in place", "of any vertex [mm]")
+        _draw_share(
+            axes[2],
+            comparison.insertions,
+            "peak_n",
+            "peak force of an insertion",
+            "change of the wrist's force [N]",
+        )
+        _draw_share(
+            axes[3],
+            comparison.insertions,
+            "neighbours_mm",
+            "motion of what is in place",
+            "of any vertex [mm]",
+        )
         scratch = path.with_name(f".{path.name}")
         figure.savefig(scratch, format="png")
         plt.close(figure)
@@ -190,9 +232,19 @@ def _draw_rates(axes: Any, comparison: Comparison) -> None:
         counts = (pairs.both, pairs.only_a, pairs.only_b, pairs.neither)
         for kind, count in zip(KINDS, counts, strict=True):
             share = count / pairs.count
-            axes.barh(y + 0.3, share, left=left, height=0.22, color=COLORS[kind], label=kind if not y else None, alpha=0.85)
+            axes.barh(
+                y + 0.3,
+                share,
+                left=left,
+                height=0.22,
+                color=COLORS[kind],
+                label=kind if not y else None,
+                alpha=0.85,
+            )
             if share > 0.05:
-                axes.text(left + share / 2, y + 0.3, str(count), ha="center", va="center", color="white", fontsize=8)
+                axes.text(
+                    left + share / 2, y + 0.3, str(count), ha="center", va="center", color="white", fontsize=8
+                )
             left += share
         for run, rate, color, at in (("A", rates[0], COLOR_A, y - 0.12), ("B", rates[1], COLOR_B, y + 0.06)):
             share = rate.good / rate.count
@@ -208,7 +260,9 @@ def _draw_rates(axes: Any, comparison: Comparison) -> None:
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:.0%}")
     axes.set_yticks([])
     axes.spines["left"].set_visible(False)
-    axes.legend(frameon=False, fontsize=8, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.09), handlelength=1.0)
+    axes.legend(
+        frameon=False, fontsize=8, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.09), handlelength=1.0
+    )
 
 
 def _draw_worst(axes: Any, comparison: Comparison) -> None:
@@ -218,7 +272,11 @@ def _draw_worst(axes: Any, comparison: Comparison) -> None:
     kinds: dict[str, list[tuple[float, float]]] = {kind: [] for kind in KINDS}
     for e in comparison.episodes:
         if np.isfinite([e.worst_a, e.worst_b]).all():
-            kind = KINDS[3 - 2 * e.success_b - e.success_a] if e.success_a is e.success_b else KINDS[1 if e.success_a else 2]
+            kind = (
+                KINDS[3 - 2 * e.success_b - e.success_a]
+                if e.success_a is e.success_b
+                else KINDS[1 if e.success_a else 2]
+            )
             kinds[kind].append((max(e.worst_a, SMALLEST_MM), max(e.worst_b, SMALLEST_MM)))
     everything = [value for pairs in kinds.values() for pair in pairs for value in pair]
     if not everything:
@@ -229,7 +287,9 @@ def _draw_worst(axes: Any, comparison: Comparison) -> None:
     for kind, pairs in kinds.items():
         if pairs:
             x, y = zip(*pairs, strict=True)
-            axes.scatter(x, y, s=24, color=COLORS[kind], alpha=0.8, linewidths=0.5, edgecolors="white", zorder=3)
+            axes.scatter(
+                x, y, s=24, color=COLORS[kind], alpha=0.8, linewidths=0.5, edgecolors="white", zorder=3
+            )
     axes.set(xscale="log", yscale="log", xlim=ends, ylim=ends)
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter(lambda value, _: f"{value:g}")
@@ -251,7 +311,13 @@ def _draw_share(axes: Any, found: Insertions | None, key: str, title: str, label
         axes.step([0.0, *values], [0.0, *share], where="post", color=color, linewidth=2, label=run.upper())
         axes.plot(values[-1], 1.0, "o", color=color, markersize=5, clip_on=False)
         axes.annotate(
-            f"{values[-1]:.3g}", (values[-1], 1.0), (0, 6), textcoords="offset points", ha="center", color=color, fontsize=8
+            f"{values[-1]:.3g}",
+            (values[-1], 1.0),
+            (0, 6),
+            textcoords="offset points",
+            ha="center",
+            color=color,
+            fontsize=8,
         )
     axes.set_xlim(0.0, max(largest * 1.08, 1e-3))
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:.0%}")

@@ -1,4 +1,5 @@
-"""Compare the planner's verdicts on stability with contact physics and with compas-cra, on random Soma subassemblies."""
+"""Compare the planner's verdicts on stability with contact physics and with compas-cra, on random Soma
+subassemblies."""
 
 from __future__ import annotations
 
@@ -45,7 +46,9 @@ def main(arguments: Arguments) -> int:
             return 0
         with Progress(console=Console(stderr=True)) as bar:
             task = bar.add_task("states", total=arguments.states)
-            comparison = compare(arguments.states, arguments.seed, arguments.jobs, arguments.out, lambda: bar.advance(task))
+            comparison = compare(
+                arguments.states, arguments.seed, arguments.jobs, arguments.out, lambda: bar.advance(task)
+            )
     except SomaBulletError as error:
         sys.stderr.write(f"error: {error}\n")
         return error.exit_status

@@ -1,4 +1,5 @@
-"""Draws docs/examples.png: an exploded view of every example assembly, with no piece that hangs in the air."""
+"""Draws docs/examples.png: an exploded view of every example assembly, with no piece that hangs in the
+air."""
 
 from __future__ import annotations
 
@@ -8,9 +9,23 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = (
-    "dowel", "bracket", "sliding_lid", "crate", "dovetail", "hinge", "wedge_clamp", "stool", "tower", "gears", "leaning_bridge",
-    "arch", "burr", "soma3", "soma4", "cube",
-)  # fmt: skip
+    "dowel",
+    "bracket",
+    "sliding_lid",
+    "crate",
+    "dovetail",
+    "hinge",
+    "wedge_clamp",
+    "stool",
+    "tower",
+    "gears",
+    "leaning_bridge",
+    "arch",
+    "burr",
+    "soma3",
+    "soma4",
+    "cube",
+)
 COLUMNS = 4
 TILE = (480, 384)  # [pixels]
 COLORS = 256  # a palette is enough for a drawing, and makes the file a fifth as large
@@ -20,10 +35,10 @@ def draw(name: str, path: Path) -> None:
     """Draw the exploded view of one example into `path`."""
     from soma_bullet.assembly.file import load_assembly
     from soma_bullet.grasp.hand import load_hand
+    from soma_bullet.pictures.exploded import draw_exploded
     from soma_bullet.planner.assist import HoldLoad
     from soma_bullet.planner.plan import make_plan
     from soma_bullet.planner.qualities import PlannerOptions
-    from soma_bullet.report.exploded import draw_exploded
 
     assembly = load_assembly(name)
     # the stones of the arch would give way to the usual 2 N of the last insertion

@@ -1,4 +1,5 @@
-"""Run many seeded episodes and say how often they succeed, with the 95 % interval and the causes of failure."""
+"""Run many seeded episodes and say how often they succeed, with the 95 % interval and the causes of
+failure."""
 
 from __future__ import annotations
 
@@ -33,22 +34,24 @@ class SpreadArguments:
     mass: float = 0.2
     """The same of its factor on all masses."""
     mm: float = 0.5
-    """One sigma of the error of the perceived places in x and in y [mm]; of uniform errors their largest length."""
+    """One sigma of the error of the perceived places in x and in y [mm]; of uniform errors their largest
+    length."""
     deg: float = 0.5
     """One sigma of the error of the perceived yaws [deg]; of uniform errors the largest."""
     errors: Literal["normal", "uniform"] = "normal"
     """How the errors of perception are spread: normal, or uniform over a disc and an interval."""
     square: bool = True
-    """Whether inexactly perceived pieces are squared before they are picked; --spread.no-square: they are picked as seen."""
+    """Whether inexactly perceived pieces are squared before they are picked; --spread.no-square: they are
+    picked as seen."""
 
 
 @dataclass(frozen=True)
 class Arguments:
     """Runs episodes in worker processes; an interrupted run goes on with the same command.
 
-    Writes episodes.jsonl (a line an episode, with all that is needed to run it again), summary.json and summary.png.
-    Exit status: 0 the evaluation is complete, whatever its rate; 1 a replay came out otherwise; 2 bad input; 130 interrupted.
-    """
+    Writes episodes.jsonl (a line an episode, with all that is needed to run it again), summary.json and
+    summary.png. Exit status: 0 the evaluation is complete, whatever its rate; 1 a replay came out otherwise;
+    2 bad input; 130 interrupted."""
 
     assembly: tyro.conf.Positional[str]
     """An assembly file, or the name of one that comes with the package."""
@@ -61,8 +64,9 @@ class Arguments:
     out: Path = Path("runs/evaluation")
     """Where lines, summary and figure are written."""
     vary: str = "feed"
-    """What differs between episodes beside the places of the pieces: any of friction, mass, perception, feed, separated by
-    commas, or none. feed: every steady resting pose; without it pieces lie in the one from which they are easiest to grasp."""
+    """What differs between episodes beside the places of the pieces: any of friction, mass, perception, feed,
+    separated by commas, or none. feed: every steady resting pose; without it pieces lie in the one from which
+    they are easiest to grasp."""
     spread: SpreadArguments = field(default_factory=SpreadArguments)
     cell: str = "ur5e_pair"
     """A folder or cell.toml, or the name of one under robots/."""
@@ -83,10 +87,11 @@ class Arguments:
     recover: bool = True
     """Whether what goes wrong is tried again."""
     backend: Literal["processes", "ray"] = "processes"
-    """Who runs the episodes: processes of this machine, or tasks of ray (the cluster that RAY_ADDRESS names, else here)."""
+    """Who runs the episodes: processes of this machine, or tasks of ray (the cluster that RAY_ADDRESS names,
+    else here)."""
     replay: int | None = None
-    """Run the episode of this seed of OUT/episodes.jsonl again as it was (the other options do not count), film it into
-    OUT/replay_SEED, and say whether it came out the same to the last bit."""
+    """Run the episode of this seed of OUT/episodes.jsonl again as it was (the other options do not count),
+    film it into OUT/replay_SEED, and say whether it came out the same to the last bit."""
     video: bool = True
     """--no-video: a replay is not filmed."""
     film: VideoArguments = field(default_factory=VideoArguments)
@@ -122,7 +127,10 @@ def _check(arguments: Arguments) -> None:
     words = _words(arguments.vary)
     strange = [word for word in words if word not in ("friction", "mass", "perception", "feed")]
     if strange:
-        faults.append(f"--vary {arguments.vary}: {', '.join(map(repr, strange))} is none of friction, mass, perception, feed")
+        faults.append(
+            f"--vary {arguments.vary}: {', '.join(map(repr, strange))} is none of friction, mass, "
+            f"perception, feed"
+        )
     for name, share in (("friction", arguments.spread.friction), ("mass", arguments.spread.mass)):
         if not 0 <= share < 1:
             faults.append(f"--spread.{name} {share:g}: must be at least 0 and below 1")
@@ -141,9 +149,9 @@ def _words(text: str) -> tuple[str, ...]:
 
 
 def _options(arguments: Arguments) -> EvaluationOptions:
+    from soma_bullet.control.executive import ExecutionOptions
     from soma_bullet.evaluation.options import EvaluationOptions, Spread
-    from soma_bullet.executive.executive import ExecutionOptions
-    from soma_bullet.sim.judge import Tolerance
+    from soma_bullet.judge.judge import Tolerance
 
     spread = arguments.spread
     return EvaluationOptions(
@@ -164,7 +172,14 @@ def _options(arguments: Arguments) -> EvaluationOptions:
 
 
 def _evaluate(arguments: Arguments, out: Console, errors: Console) -> int:
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
 
     from soma_bullet.evaluation.evaluate import Watch, evaluate
     from soma_bullet.evaluation.folder import SUMMARY
@@ -194,10 +209,15 @@ def _evaluate(arguments: Arguments, out: Console, errors: Console) -> int:
             bar.console.print(f"seed {line['seed']}: {line['cause']}: {line['causes'][0]}", markup=False)
 
     try:
-        summary, lines = evaluate(_options(arguments), arguments.jobs, arguments.out, Watch(found, done), arguments.backend)
+        summary, lines = evaluate(
+            _options(arguments), arguments.jobs, arguments.out, Watch(found, done), arguments.backend
+        )
     except KeyboardInterrupt:
         bar.stop()
-        errors.print(f"{len(finished)} of {arguments.episodes} episodes are done; the same command goes on", markup=False)
+        errors.print(
+            f"{len(finished)} of {arguments.episodes} episodes are done; the same command goes on",
+            markup=False,
+        )
         raise
     finally:
         bar.stop()
@@ -217,11 +237,16 @@ def table(summary: dict[str, Any], arguments: Arguments) -> Table:
     for heading in ("", "mean", "median", "p95", "largest", "of"):
         rows.add_column(heading, justify="left" if not heading else "right")
     names = {
-        "error_mm": "error of a piece [mm]", "error_deg": "error of a piece [deg]", "slip_mm": "slip in a grasp [mm]",
-        "slip_deg": "slip in a grasp [deg]", "drift_mm": "drift while held [mm]", "peak_n": "peak force of a placing [N]",
-        "makespan_s": "makespan [s, simulated]", "saved_percent": "saved of one arm at a time at its best [%]",
+        "error_mm": "error of a piece [mm]",
+        "error_deg": "error of a piece [deg]",
+        "slip_mm": "slip in a grasp [mm]",
+        "slip_deg": "slip in a grasp [deg]",
+        "drift_mm": "drift while held [mm]",
+        "peak_n": "peak force of a placing [N]",
+        "makespan_s": "makespan [s, simulated]",
+        "saved_percent": "saved of one arm at a time at its best [%]",
         "saved_of_scheduled_percent": "saved of one arm at a time as scheduled [%]",
-    }  # fmt: skip
+    }
     for key, name in names.items():
         rows.add_row(escape(name), *_cells(summary["executed"][key]))
     for stage, spread in summary["wall_s"].items():
@@ -233,14 +258,18 @@ def table(summary: dict[str, Any], arguments: Arguments) -> Table:
         rows.add_row(f"[red]{cause}[/]", f"seeds {listed}", "", "", "", str(count))
     rows.add_row("planned anew", "", "", "", "", str(summary["recoveries"]))
     rows.add_row("insertions tried again", "", "", "", "", str(summary["retries"]))
-    rows.add_row("forbidden contacts in successes", "", "", "", "", str(summary["forbidden_contacts_in_successes"]))
+    rows.add_row(
+        "forbidden contacts in successes", "", "", "", "", str(summary["forbidden_contacts_in_successes"])
+    )
     return rows
 
 
 def _title(summary: dict[str, Any], arguments: Arguments) -> str:
     low, high = summary["interval_95"]
     count = f"{summary['successes']} of {summary['episodes']} succeeded"
-    return f"{arguments.assembly}: {count}, {summary['success_rate']:.0%} (95% interval {low:.0%} to {high:.0%})"
+    return (
+        f"{arguments.assembly}: {count}, {summary['success_rate']:.0%} (95% interval {low:.0%} to {high:.0%})"
+    )
 
 
 def _cells(spread: dict[str, float]) -> list[str]:
@@ -250,19 +279,31 @@ def _cells(spread: dict[str, float]) -> list[str]:
 
 
 def draw(summary: dict[str, Any], lines: list[dict[str, Any]], arguments: Arguments, path: Path) -> None:
-    """One figure: what became of the episodes, the errors of their pieces against the tolerance, how long they took."""
+    """One figure: what became of the episodes, the errors of their pieces against the tolerance, how long
+    they took."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot as plt
 
     style = {
-        "font.size": 9, "axes.edgecolor": QUIET, "axes.labelcolor": INK, "text.color": INK, "xtick.color": INK,
-        "ytick.color": INK, "axes.spines.top": False, "axes.spines.right": False, "axes.titlelocation": "left",
-        "axes.titlesize": 10, "axes.titlepad": 9, "figure.dpi": 150,
-    }  # fmt: skip
+        "font.size": 9,
+        "axes.edgecolor": QUIET,
+        "axes.labelcolor": INK,
+        "text.color": INK,
+        "xtick.color": INK,
+        "ytick.color": INK,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.titlelocation": "left",
+        "axes.titlesize": 10,
+        "axes.titlepad": 9,
+        "figure.dpi": 150,
+    }
     with plt.rc_context(style):
-        figure, axes = plt.subplots(1, 3, figsize=(12, 3.6), width_ratios=(1.1, 1.2, 1.0), layout="constrained")
+        figure, axes = plt.subplots(
+            1, 3, figsize=(12, 3.6), width_ratios=(1.1, 1.2, 1.0), layout="constrained"
+        )
         figure.suptitle(_title(summary, arguments), x=0.01, ha="left", fontsize=12, fontweight="bold")
         _draw_outcomes(axes[0], summary)
         _draw_errors(axes[1], lines, arguments.tolerance_mm)
@@ -274,11 +315,18 @@ def draw(summary: dict[str, Any], lines: list[dict[str, Any]], arguments: Argume
 
 
 def _draw_outcomes(axes: Any, summary: dict[str, Any]) -> None:
-    rows = [("success", summary["successes"], GOOD), *((cause, count, BAD) for cause, count in summary["causes"].items())]
+    rows = [
+        ("success", summary["successes"], GOOD),
+        *((cause, count, BAD) for cause, count in summary["causes"].items()),
+    ]
     names, counts, colors = zip(*rows, strict=True)
     bars = axes.barh(range(len(rows)), counts, color=colors, height=0.62)
     axes.bar_label(bars, padding=4)
-    axes.set(title="what became of the episodes", xlim=(0, max(counts) * 1.15), ylim=(max(len(rows), 4) - 0.5, -0.6))
+    axes.set(
+        title="what became of the episodes",
+        xlim=(0, max(counts) * 1.15),
+        ylim=(max(len(rows), 4) - 0.5, -0.6),
+    )
     axes.set_yticks(range(len(rows)), names)
     axes.tick_params(left=False, bottom=False, labelbottom=False)
     axes.spines[["bottom"]].set_visible(False)
@@ -287,9 +335,12 @@ def _draw_outcomes(axes: Any, summary: dict[str, Any]) -> None:
 def _draw_errors(axes: Any, lines: list[dict[str, Any]], tolerance: float) -> None:
     import numpy as np
 
-    axes.set(title="error of a piece at the end", xlabel="displacement of the centre of mass [mm]", ylabel="pieces")
+    axes.set(
+        title="error of a piece at the end", xlabel="displacement of the centre of mass [mm]", ylabel="pieces"
+    )
     errors = {
-        ok: [p["error_mm"] for line in lines if line["success"] is ok for p in line.get("pieces", ())] for ok in (True, False)
+        ok: [p["error_mm"] for line in lines if line["success"] is ok for p in line.get("pieces", ())]
+        for ok in (True, False)
     }
     everything = [*errors[True], *errors[False]]
     if not everything:
@@ -301,8 +352,16 @@ def _draw_errors(axes: Any, lines: list[dict[str, Any]], tolerance: float) -> No
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     kinds = [(good, color, label) for good, color, label in KINDS if errors[good]]
     clipped = [np.clip(errors[good], bins[0], bins[-1]) for good, _, _ in kinds]
-    axes.hist(clipped, bins, stacked=True, color=[color for _, color, _ in kinds], label=[label for _, _, label in kinds])
-    axes.axvline(tolerance, color=INK, linewidth=1.2, linestyle=(0, (4, 2)), label=f"tolerance, {tolerance:g} mm")
+    axes.hist(
+        clipped,
+        bins,
+        stacked=True,
+        color=[color for _, color, _ in kinds],
+        label=[label for _, _, label in kinds],
+    )
+    axes.axvline(
+        tolerance, color=INK, linewidth=1.2, linestyle=(0, (4, 2)), label=f"tolerance, {tolerance:g} mm"
+    )
     axes.yaxis.get_major_locator().set_params(integer=True)
     axes.margins(y=0.25)
     axes.legend(frameon=False, fontsize=8, loc="upper left", borderaxespad=0.0)
@@ -313,7 +372,8 @@ def _draw_makespans(axes: Any, lines: list[dict[str, Any]]) -> None:
 
     axes.set(title="makespan", xlabel="simulated time [s]", ylabel="episodes")
     times = {
-        ok: [line["makespan_s"] for line in lines if line["success"] is ok and "makespan_s" in line] for ok in (True, False)
+        ok: [line["makespan_s"] for line in lines if line["success"] is ok and "makespan_s" in line]
+        for ok in (True, False)
     }
     everything = [*times[True], *times[False]]
     if not everything:
@@ -323,7 +383,9 @@ def _draw_makespans(axes: Any, lines: list[dict[str, Any]]) -> None:
     axes.hist([times[True], times[False]], bins, stacked=True, color=(GOOD, BAD))
     middle = float(np.median(everything))
     axes.axvline(middle, color=INK, linewidth=1.2, linestyle=(0, (1, 1.5)))
-    axes.text(middle, 1.0, f" median {middle:.1f} s", transform=axes.get_xaxis_transform(), va="top", fontsize=8)
+    axes.text(
+        middle, 1.0, f" median {middle:.1f} s", transform=axes.get_xaxis_transform(), va="top", fontsize=8
+    )
     axes.yaxis.get_major_locator().set_params(integer=True)
     axes.margins(y=0.2)
 
@@ -335,20 +397,26 @@ def _say_nothing(axes: Any) -> None:
 
 def _replay(arguments: Arguments, errors: Console) -> int:
     from soma_bullet.evaluation.replay import replay
-    from soma_bullet.sim.film import FilmOptions
+    from soma_bullet.pictures.film import FilmOptions
 
     film = arguments.film
-    made = FilmOptions(size=film.size, fps=film.fps, speed=film.speed, camera=film.camera, renderer=film.renderer)
+    made = FilmOptions(
+        size=film.size, fps=film.fps, speed=film.speed, camera=film.camera, renderer=film.renderer
+    )
     assert arguments.replay is not None
     with errors.status(f"replaying seed {arguments.replay}"):
         again = replay(arguments.assembly, arguments.replay, arguments.out, made if arguments.video else None)
     for name, line in (("then", again.before), ("now", again.after)):
         verdict = "success" if line["success"] else f"{line['cause']}: {line['causes'][0]}"
         errors.print(
-            f"{name:5}{verdict}; hash of all poses {line.get('log_sha256', 'none')[:16]}", markup=False, highlight=False
+            f"{name:5}{verdict}; hash of all poses {line.get('log_sha256', 'none')[:16]}",
+            markup=False,
+            highlight=False,
         )
     errors.print(
-        "the same to the last bit" if again.same else "[red]not the same[/]: other versions, another machine, or changed code"
+        "the same to the last bit"
+        if again.same
+        else "[red]not the same[/]: other versions, another machine, or changed code"
     )
     for name, version in again.before.get("versions", {}).items():
         now = again.after.get("versions", {}).get(name, version)

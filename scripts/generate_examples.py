@@ -1,8 +1,8 @@
-"""Writes the meshes of the example assemblies (meshes/<product>/*.obj, .stl, .ply, .glb); the .toml files are written by hand.
+"""Writes the meshes of the example assemblies (meshes/<product>/*.obj, .stl, .ply, .glb); the .toml files are
+written by hand.
 
-Every piece lies in its own frame, with the origin in the middle of its underside unless its function says otherwise; sizes here
-are in mm, files in the unit of their assembly. The same bytes each time.
-"""
+Every piece lies in its own frame, with the origin in the middle of its underside unless its function says
+otherwise; sizes here are in mm, files in the unit of their assembly. The same bytes each time."""
 
 from __future__ import annotations
 
@@ -46,15 +46,20 @@ def dowel() -> Solids:
 
 
 def bracket() -> Solids:
-    """Sizes are whole eighths of an inch. The bracket's origin is in the middle of the underside of its web."""
+    """Sizes are whole eighths of an inch. The bracket's origin is in the middle of the underside of its
+    web."""
     inch = 25.4
     web = block(3.5 * inch, 0.75 * inch, 0.375 * inch)
     flange = block(0.375 * inch, 0.75 * inch, 0.75 * inch).translate([1.5625 * inch, 0, -0.75 * inch])
-    return {"post.obj": block(0.75 * inch, 0.75 * inch, 2 * inch), "bracket.obj": web + flange + flange.mirror([1, 0, 0])}
+    return {
+        "post.obj": block(0.75 * inch, 0.75 * inch, 2 * inch),
+        "bracket.obj": web + flange + flange.mirror([1, 0, 0]),
+    }
 
 
 def sliding_lid() -> Solids:
-    """The lid's way is a groove in three walls, over the lower fourth one at -x; its origin is below its handle."""
+    """The lid's way is a groove in three walls, over the lower fourth one at -x; its origin is below its
+    handle."""
     room = block(64, 44, 40).translate([0, 0, 6])
     groove = block(75, 50, 4).translate([-2.5, 0, 32])
     entrance = block(20, 44, 20).translate([-40, 0, 32])
@@ -64,10 +69,12 @@ def sliding_lid() -> Solids:
 
 
 def leaning_bridge() -> Solids:
-    """An A of two legs and one of two rafters; each origin lies in the axis of its pair, on the plane that it stands on."""
+    """An A of two legs and one of two rafters; each origin lies in the axis of its pair, on the plane that it
+    stands on."""
 
     def pair(foot: float, rise: float, width: float) -> tuple[Manifold, Manifold]:
-        """Beams with feet at -foot and foot, and axes that meet at `rise`; the first butts against the second from below."""
+        """Beams with feet at -foot and foot, and axes that meet at `rise`; the first butts against the second
+        from below."""
         along = np.array((foot, rise)) / np.hypot(foot, rise)
         across = np.array((-along[1], along[0])) * width / 2
         axis = np.array([-along, along]) * 300.0 - (foot, 0)
@@ -84,7 +91,8 @@ def leaning_bridge() -> Solids:
 
 
 def arch() -> Solids:
-    """Stones of a round arch; the origin of all is the centre of the arch, its springing line the plane that it stands on."""
+    """Stones of a round arch; the origin of all is the centre of the arch, its springing line the plane that
+    it stands on."""
     inner, outer, depth = 30.0, 50.0, 24.0
 
     def stone(start: float, stop: float) -> Manifold:
@@ -92,19 +100,26 @@ def arch() -> Solids:
         arc = np.column_stack([np.cos(angles), np.sin(angles)])
         return prism(np.vstack([arc * outer, arc[::-1] * inner]), depth)
 
-    shoulder = block(24, depth, 26).translate([54, 0, 0]) - Manifold.cylinder(60, 40, 40, 64, True).rotate([90, 0, 0])
-    return {"springer.ply": stone(0, 36) + shoulder, "haunch.ply": stone(36, 72), "keystone.ply": stone(72, 108)}
+    shoulder = block(24, depth, 26).translate([54, 0, 0]) - Manifold.cylinder(60, 40, 40, 64, True).rotate(
+        [90, 0, 0]
+    )
+    return {
+        "springer.ply": stone(0, 36) + shoulder,
+        "haunch.ply": stone(36, 72),
+        "keystone.ply": stone(72, 108),
+    }
 
 
 def gears() -> Solids:
     """Ten and fourteen teeth of module 3, straight-sided, with play at the flanks; hubs to grip them by.
 
-    The pinion's teeth are half a tooth on, so that its bore, like all, lies with its sections as its shaft does.
-    """
+    The pinion's teeth are half a tooth on, so that its bore, like all, lies with its sections as its shaft
+    does."""
 
     def gear(teeth: int, ahead: float = 0.0, module: float = 3.0) -> Manifold:
         pitch = module * teeth / 2
-        # radius, and half the angle of a tooth there in pitches; the tooth is thinner than half a pitch: backlash
+        # radius, and half the angle of a tooth there in pitches; the tooth is thinner than half a pitch:
+        # backlash
         profile = ((pitch - 1.1 * module, 0.36), (pitch, 0.22), (pitch + 0.9 * module, 0.09))
         corners = []
         for k in range(teeth):
@@ -116,7 +131,12 @@ def gears() -> Solids:
 
     hole = peg(4, 20, COARSE).translate([0, 0, 5])
     plate = block(82, 48, 14) - hole.translate([-21, 0, 0]) - hole.translate([15, 0, 0])
-    return {"plate.glb": plate, "shaft.glb": peg(4, 50, COARSE), "pinion.glb": gear(10, 0.5), "wheel.glb": gear(14)}
+    return {
+        "plate.glb": plate,
+        "shaft.glb": peg(4, 50, COARSE),
+        "pinion.glb": gear(10, 0.5),
+        "wheel.glb": gear(14),
+    }
 
 
 def dovetail() -> Solids:
@@ -126,8 +146,10 @@ def dovetail() -> Solids:
     groove = prism(tongue, 40).translate([0, -5, 20])
     base = block(64, 50, 20) - groove - peg(4, 40, FINE).translate([0, -5, 3])
     return {
-        "base.stl": base, "slide.stl": carriage - peg(4, 60, FINE).translate([0, 0, -20]), "pin.stl": peg(4, 45, FINE),
-    }  # fmt: skip
+        "base.stl": base,
+        "slide.stl": carriage - peg(4, 60, FINE).translate([0, 0, -20]),
+        "pin.stl": peg(4, 45, FINE),
+    }
 
 
 def stool() -> Solids:
@@ -142,18 +164,25 @@ def stool() -> Solids:
 def tower() -> Solids:
     """Rings that get smaller on a peg, and a knob with a blind hole on its end."""
     foot = peg(32, 10, 32) + peg(7, 72, FINE)
-    rings = {f"ring{k}.ply": peg(radius, 14, 32) - peg(7, 14, FINE) for k, radius in enumerate((28, 23, 18), 1)}
+    rings = {
+        f"ring{k}.ply": peg(radius, 14, 32) - peg(7, 14, FINE) for k, radius in enumerate((28, 23, 18), 1)
+    }
     knob = peg(12, 22, 32) - peg(7, 10, FINE)
     return {"foot.ply": foot, **rings, "knob.ply": knob}
 
 
 def hinge() -> Solids:
-    """The pin's origin is below its knob, its shank goes down; so it lies along -x at its goal. A hand grips the knob."""
+    """The pin's origin is below its knob, its shank goes down; so it lies along -x at its goal. A hand grips
+    the knob."""
     bore = peg(6, 100, FINE).translate([0, 0, -50]).rotate([0, 90, 0])
     cheek = block(10, 28, 40).translate([15, 0, 8])
     clevis = block(44, 34, 8) + cheek + cheek.mirror([1, 0, 0]) - bore.translate([0, 0, 34])
     link = block(20, 24, 72) - bore.translate([0, 0, 26])
-    return {"clevis.stl": clevis, "link.stl": link, "pin.stl": peg(6, 46, FINE).translate([0, 0, -46]) + peg(10, 22, FINE)}
+    return {
+        "clevis.stl": clevis,
+        "link.stl": link,
+        "pin.stl": peg(6, 46, FINE).translate([0, 0, -46]) + peg(10, 22, FINE),
+    }
 
 
 def crate() -> Solids:
@@ -161,11 +190,16 @@ def crate() -> Solids:
     box = block(76, 76, 36) - block(64, 64, 40).translate([0, 0, 6])
     wall = block(64, 5, 42)
     slot = block(5, 20, 30)
-    return {"box.obj": box, "lower.obj": wall - slot.translate([0, 0, 21]), "upper.obj": wall - slot.translate([0, 0, -9])}
+    return {
+        "box.obj": box,
+        "lower.obj": wall - slot.translate([0, 0, 21]),
+        "upper.obj": wall - slot.translate([0, 0, -9]),
+    }
 
 
 def wedge_clamp() -> Solids:
-    """A trough, a workpiece, and two wedges; the second one is 2 mm short of the floor, so that it jams before it lands."""
+    """A trough, a workpiece, and two wedges; the second one is 2 mm short of the floor, so that it jams
+    before it lands."""
     trough = block(100, 36, 46) - block(80, 60, 46).translate([0, 0, 8])
     fixed = prism([(-13, 0), (13, 0), (13, 40), (1, 40)], 36)
     driven = prism([(-20, 2), (-5.3, 2), (12.9, 54), (-20, 54)], 36)
@@ -173,7 +207,8 @@ def wedge_clamp() -> Solids:
 
 
 def burr() -> Solids:
-    """The six-piece burr without a hollow inside: only the key comes out first; the origin of all is its centre."""
+    """The six-piece burr without a hollow inside: only the key comes out first; the origin of all is its
+    centre."""
     unit = 9.0
 
     def bar(low: tuple[int, int, int], high: tuple[int, int, int]) -> Manifold:
@@ -188,9 +223,20 @@ def burr() -> Solids:
 
 
 PRODUCTS: tuple[tuple[Callable[[], Solids], str], ...] = (
-    (dowel, "mm"), (bracket, "in"), (sliding_lid, "mm"), (leaning_bridge, "cm"), (arch, "mm"), (gears, "m"),
-    (dovetail, "in"), (stool, "mm"), (tower, "cm"), (hinge, "mm"), (crate, "mm"), (wedge_clamp, "mm"), (burr, "mm"),
-)  # fmt: skip
+    (dowel, "mm"),
+    (bracket, "in"),
+    (sliding_lid, "mm"),
+    (leaning_bridge, "cm"),
+    (arch, "mm"),
+    (gears, "m"),
+    (dovetail, "in"),
+    (stool, "mm"),
+    (tower, "cm"),
+    (hinge, "mm"),
+    (crate, "mm"),
+    (wedge_clamp, "mm"),
+    (burr, "mm"),
+)
 
 
 def tidy(body: Manifold) -> trimesh.Trimesh:
@@ -230,6 +276,10 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", nargs="?", type=Path, default=Path(__file__).resolve().parents[1] / "meshes")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "folder", nargs="?", type=Path, default=Path(__file__).resolve().parents[1] / "meshes"
+    )
     main(parser.parse_args().folder)

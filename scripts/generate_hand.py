@@ -1,7 +1,7 @@
 """Writes the slim parallel hand of `robots/ur5e_pair`: hand.urdf and the meshes that it shows.
 
-One set of dimensions feeds the collision boxes, the inertias and the chamfered visual meshes, so they cannot drift apart.
-"""
+One set of dimensions feeds the collision boxes, the inertias and the chamfered visual meshes, so they cannot
+drift apart."""
 
 from __future__ import annotations
 
@@ -53,7 +53,9 @@ def chamfered(low: tuple[float, ...], high: tuple[float, ...], chamfer: float) -
 
 def band(x: float, y: float, chamfer: float, low: float, high: float) -> trimesh.Trimesh:
     """An upright slab of half sizes x and y [m] with its four upright edges bevelled."""
-    outline = [(sx * a, sy * b) for sx in (-1, 1) for sy in (-1, 1) for a, b in ((x - chamfer, y), (x, y - chamfer))]
+    outline = [
+        (sx * a, sy * b) for sx in (-1, 1) for sy in (-1, 1) for a, b in ((x - chamfer, y), (x, y - chamfer))
+    ]
     return convex(np.array([(*corner, z) for corner in outline for z in (low, high)]))
 
 
@@ -80,7 +82,9 @@ def meshes() -> dict[str, trimesh.Trimesh]:
     foot = -TCP_Z + PALM[2]  # z of the finger's foot, seen from the pad's centre
     for side, sign in (("left", 1.0), ("right", -1.0)):
 
-        def mirrored(low: tuple[float, ...], high: tuple[float, ...], chamfer: float, s: float = sign) -> trimesh.Trimesh:
+        def mirrored(
+            low: tuple[float, ...], high: tuple[float, ...], chamfer: float, s: float = sign
+        ) -> trimesh.Trimesh:
             x = sorted((s * low[0], s * high[0]))
             return chamfered((x[0], *low[1:]), (x[1], *high[1:]), chamfer)
 
@@ -88,7 +92,9 @@ def meshes() -> dict[str, trimesh.Trimesh]:
             mirrored((RECESS, -tall, foot), (FINGER[0], tall, PAD / 2), 0.001),
         ]
         parts[f"finger_{side}"] = trimesh.util.concatenate(body)
-        parts[f"pad_{side}"] = mirrored((0.0, -PAD / 2, -PAD / 2), (RECESS + PAD_DEPTH, PAD / 2, PAD / 2), 0.0004)
+        parts[f"pad_{side}"] = mirrored(
+            (0.0, -PAD / 2, -PAD / 2), (RECESS + PAD_DEPTH, PAD / 2, PAD / 2), 0.0004
+        )
         # The two carriages pass each other side by side: left keeps to +y, right to -y.
         rod = chamfered((-0.020, 0.001, foot - 0.0085), (FINGER[0], tall, foot), 0.0008)
         parts[f"carriage_{side}"] = rod if sign > 0 else rod.apply_transform(np.diag((-1.0, -1.0, 1.0, 1.0)))
@@ -99,7 +105,9 @@ def obj_text(mesh: trimesh.Trimesh) -> str:
     """OBJ with one normal a face: PyBullet would smooth over shared vertices."""
     lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in mesh.triangles.reshape(-1, 3) + 0.0]
     lines += [f"vn {x:.4f} {y:.4f} {z:.4f}" for x, y, z in np.round(mesh.face_normals, 4) + 0.0]
-    lines += [f"f {3 * i + 1}//{i + 1} {3 * i + 2}//{i + 1} {3 * i + 3}//{i + 1}" for i in range(len(mesh.faces))]
+    lines += [
+        f"f {3 * i + 1}//{i + 1} {3 * i + 2}//{i + 1} {3 * i + 3}//{i + 1}" for i in range(len(mesh.faces))
+    ]
     return "\n".join(lines).replace("-0.000000", "0.000000") + "\n"
 
 
@@ -108,7 +116,8 @@ def inertial(mass: float, size: np.ndarray, centre: tuple[float, ...]) -> str:
     x, y, z = size**2 * mass / 12
     return (
         f'    <inertial>\n      <origin xyz="{xyz(centre)}"/>\n      <mass value="{mass:g}"/>\n'
-        f'      <inertia ixx="{y + z:.4e}" ixy="0" ixz="0" iyy="{x + z:.4e}" iyz="0" izz="{x + y:.4e}"/>\n    </inertial>\n'
+        f'      <inertia ixx="{y + z:.4e}" ixy="0" ixz="0" iyy="{x + z:.4e}" iyz="0" izz="{x + y:.4e}"/>\n '
+        f"   </inertial>\n"
     )
 
 
@@ -116,7 +125,9 @@ def xyz(vector: tuple[float, ...] | np.ndarray) -> str:
     return " ".join(f"{float(v) + 0.0:.6g}" for v in vector)
 
 
-def link(name: str, inertia: str, visuals: dict[str, str], boxes: list[tuple[np.ndarray, tuple[float, ...]]]) -> str:
+def link(
+    name: str, inertia: str, visuals: dict[str, str], boxes: list[tuple[np.ndarray, tuple[float, ...]]]
+) -> str:
     """A link that shows `visuals` (mesh -> colour) and collides as boxes (size, centre)."""
     text = f'  <link name="{name}">\n{inertia}'
     for mesh, colour in visuals.items():
@@ -145,7 +156,10 @@ def urdf_text() -> str:
         '    <inertial>\n      <mass value="0.001"/>\n'
         '      <inertia ixx="1e-6" ixy="0" ixz="0" iyy="1e-6" iyz="0" izz="1e-6"/>\n    </inertial>\n'
     )
-    text = '<?xml version="1.0"?>\n<!-- Written by scripts/generate_hand.py: change it there. -->\n<robot name="slim_hand">\n'
+    text = (
+        '<?xml version="1.0"?>\n<!-- Written by scripts/generate_hand.py: change it there. -->\n<robot '
+        'name="slim_hand">\n'
+    )
     for name, rgb in COLOURS.items():
         text += f'  <material name="{name}"><color rgba="{xyz(rgb)} 1"/></material>\n'
     text += link("mount", tiny, {}, [])
@@ -164,16 +178,21 @@ def urdf_text() -> str:
             f'  <joint name="finger_{side}_joint" type="prismatic">\n    <parent link="palm"/>\n'
             f'    <child link="finger_{side}"/>\n    <origin xyz="{xyz((0, 0, TCP_Z))}"/>\n'
             f'    <axis xyz="{sign:g} 0 0"/>\n'
-            f'    <limit lower="0" upper="{TRAVEL:g}" effort="{EFFORT:g}" velocity="{VELOCITY:g}"/>\n  </joint>\n'
+            f'    <limit lower="0" upper="{TRAVEL:g}" effort="{EFFORT:g}" velocity="{VELOCITY:g}"/>\n  '
+            f"</joint>\n"
         )
     text += link("tcp", tiny, {}, [])
     return text + fixed("tcp_joint", "palm", "tcp", (0.0, 0.0, TCP_Z)) + "</robot>\n"
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     default = Path(__file__).parents[1] / "robots/ur5e_pair"
-    parser.add_argument("folder", type=Path, nargs="?", default=default, help="where to write (default: %(default)s)")
+    parser.add_argument(
+        "folder", type=Path, nargs="?", default=default, help="where to write (default: %(default)s)"
+    )
     folder = parser.parse_args().folder
     (folder / "meshes").mkdir(parents=True, exist_ok=True)
     (folder / "hand.urdf").write_text(urdf_text())

@@ -1,8 +1,9 @@
-"""Writes meshes/soma: the seven pieces of the Soma cube (.obj, in mm) and the assemblies made of them (.toml).
+"""Writes meshes/soma: the seven pieces of the Soma cube (.obj, in mm) and the assemblies made of them
+(.toml).
 
-Every piece lies in its own frame with the centre of one of its cells at the origin: the cell that the others hang on (the
-corner of V, L and P, the middle of T, an inner cell of Z, A and B). The goal poses follow from the cells that a piece fills.
-"""
+Every piece lies in its own frame with the centre of one of its cells at the origin: the cell that the others
+hang on (the corner of V, L and P, the middle of T, an inner cell of Z, A and B). The goal poses follow from
+the cells that a piece fills."""
 
 from __future__ import annotations
 
@@ -28,8 +29,14 @@ PIECES: dict[str, tuple[Cell, ...]] = {
     "P": ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)),
 }
 COLORS = {
-    "V": "#e88fae", "L": "#3a76c4", "T": "#5aa469", "Z": "#f2c14e", "A": "#e07a3f", "B": "#2f9c95", "P": "#8d6ab8",
-}  # fmt: skip
+    "V": "#e88fae",
+    "L": "#3a76c4",
+    "T": "#5aa469",
+    "Z": "#f2c14e",
+    "A": "#e07a3f",
+    "B": "#2f9c95",
+    "P": "#8d6ab8",
+}
 
 
 @dataclass(frozen=True)
@@ -89,8 +96,8 @@ SCENES = (
 
 HEADER = """\
 # {about}
-# Cells are cubes of {side} mm. A goal is the pose of the cell at the origin of the piece's mesh: position, and roll, pitch and
-# yaw about the fixed axes x, y, z. Written by scripts/generate_meshes.py.
+# Cells are cubes of {side} mm. A goal is the pose of the cell at the origin of the piece's mesh: position,
+# and roll, pitch and yaw about the fixed axes x, y, z. Written by scripts/generate_meshes.py.
 
 name = "{name}"
 unit = "mm"  # of every length in this file, and of the meshes unless they say otherwise
@@ -116,14 +123,19 @@ goal = {{ position = [{position}], rpy_deg = [{rpy}] }}
 def plain_angles(rotation: Array) -> tuple[int, int, int]:
     """Roll, pitch, yaw [deg] about the fixed axes x, y, z: the multiples of 90 that turn least."""
     angles = ((r, p, y) for r in (0, 90, -90, 180) for p in (0, 90, -90, 180) for y in (0, 90, -90, 180))
-    same = (a for a in angles if np.allclose(Rotation.from_euler("xyz", a, degrees=True).as_matrix(), rotation))
+    same = (
+        a for a in angles if np.allclose(Rotation.from_euler("xyz", a, degrees=True).as_matrix(), rotation)
+    )
     return min(same, key=lambda a: (sum(map(abs, a)), np.count_nonzero(a), tuple(-v for v in a)))
 
 
 def obj_text(shape: str) -> str:
     """The piece as Wavefront OBJ."""
     vertices, faces = cell_mesh(PIECES[shape], SIDE)
-    lines = [f"# Soma piece {shape}, cells of {SIDE} mm, unit mm; the origin is the centre of a cell", f"o {shape}"]
+    lines = [
+        f"# Soma piece {shape}, cells of {SIDE} mm, unit mm; the origin is the centre of a cell",
+        f"o {shape}",
+    ]
     lines += ["v " + " ".join(f"{value:g}" for value in vertex) for vertex in vertices]
     lines += ["f " + " ".join(str(corner + 1) for corner in face) for face in faces]
     return "\n".join(lines) + "\n"
@@ -137,9 +149,12 @@ def scene_text(scene: Scene) -> str:
         rpy, shift = min(poses, key=lambda pose: (sum(map(abs, pose[0])), tuple(-v for v in pose[0])))
         position = (shift + (0, 0, 0.5)) * SIDE  # cells z = 0 stand on the support at 0
         text += PIECE.format(
-            name=name, shape=shape, color=COLORS[shape],
-            position=", ".join(str(float(v) + 0.0) for v in position), rpy=", ".join(str(float(v)) for v in rpy),
-        )  # fmt: skip
+            name=name,
+            shape=shape,
+            color=COLORS[shape],
+            position=", ".join(str(float(v) + 0.0) for v in position),
+            rpy=", ".join(str(float(v)) for v in rpy),
+        )
     return text
 
 
@@ -153,6 +168,10 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", nargs="?", type=Path, default=Path(__file__).resolve().parents[1] / "meshes" / "soma")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "folder", nargs="?", type=Path, default=Path(__file__).resolve().parents[1] / "meshes" / "soma"
+    )
     main(parser.parse_args().folder)

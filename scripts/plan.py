@@ -1,4 +1,5 @@
-"""Plan an assembly, explain and draw the plan, without robot or simulator: the same job as the console script `soma-plan`."""
+"""Plan an assembly, explain and draw the plan, without robot or simulator: the same job as the console script
+`soma-plan`."""
 
 from soma_bullet.cli.plan import plan
 

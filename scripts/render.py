@@ -1,4 +1,5 @@
-"""Makes another video, or a still, of an episode from its execution log: other camera, other speed, other size."""
+"""Makes another video, or a still, of an episode from its execution log: other camera, other speed, other
+size."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from soma_bullet.sim.film import FilmOptions, FilmReport
+    from soma_bullet.pictures.film import FilmOptions, FilmReport
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,8 @@ class Arguments:
     supersampling: int = 3
     """Pictures averaged for one frame: 1 is the fastest; more give smoother edges and softer shadows."""
     quality: int = 20
-    """x264's constant rate factor, 0..51; lower is better and larger. Of a WebP the same share of its scale."""
+    """x264's constant rate factor, 0..51; lower is better and larger. Of a WebP the same share of its
+    scale."""
     jobs: int = 0
     """Processes; 0 for up to two."""
     closing: str = ""
@@ -50,7 +52,7 @@ class Arguments:
 def options(arguments: Arguments) -> FilmOptions:
     """The film's options. Raises InputError."""
     from soma_bullet.errors import InputError
-    from soma_bullet.sim.film import FilmOptions
+    from soma_bullet.pictures.film import FilmOptions
 
     width, _, height = arguments.size.lower().partition("x")
     if not (width.isdecimal() and height.isdecimal()):
@@ -64,17 +66,17 @@ def options(arguments: Arguments) -> FilmOptions:
 def render(arguments: Arguments, progress: Callable[[float], None]) -> FilmReport:
     """Load the log and render it. Raises InputError."""
     from soma_bullet.assembly.file import load_assembly
+    from soma_bullet.pictures.film import film, still
     from soma_bullet.records import read_npz
     from soma_bullet.robot.cell import load_cell
-    from soma_bullet.sim.film import film, still
-    from soma_bullet.sim.log import ExecutionLog
+    from soma_bullet.world.log import ExecutionLog
 
     how = options(arguments)
     log = read_npz(ExecutionLog, arguments.log)
     assembly, cell = load_assembly(arguments.assembly or log.assembly), load_cell(log.cell)
-    out = arguments.out or arguments.log.with_name(f"{'still' if arguments.still else 'film'}_{arguments.camera}").with_suffix(
-        ".png" if arguments.still else ".mp4"
-    )
+    out = arguments.out or arguments.log.with_name(
+        f"{'still' if arguments.still else 'film'}_{arguments.camera}"
+    ).with_suffix(".png" if arguments.still else ".mp4")
     if arguments.still:
         return still(log, assembly, cell, out, how)
     return film(log, assembly, cell, out, how, progress, arguments.closing)

@@ -1,4 +1,5 @@
-"""Plan an assembly, build it with two arms in physics, judge it, film it: the same job as the console script `soma-episode`."""
+"""Plan an assembly, build it with two arms in physics, judge it, film it: the same job as the console script
+`soma-episode`."""
 
 from soma_bullet.cli.episode import run_episode
 

@@ -1,1 +1,2 @@
-"""Dual-arm assembly: plan from meshes and goal poses, build with two arms in contact physics, judge by final poses."""
+"""Dual-arm assembly: plan from meshes and goal poses, build with two arms in contact physics, judge by final
+poses."""

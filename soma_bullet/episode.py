@@ -1,4 +1,5 @@
-"""The pipeline, wired: assembly -> plan -> schedule and program -> execution -> judgement -> report and video.
+"""The pipeline, wired: assembly -> plan -> schedule and program -> execution -> judgement -> report and
+video.
 
 An episode can be resumed at every arrow, from `plan.json`, `program.npz` or `log.npz`.
 """
@@ -18,9 +19,14 @@ import numpy as np
 
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
+from soma_bullet.bullet.simulator import BulletSimulator
+from soma_bullet.bullet.stage import Physics
+from soma_bullet.control.execute import Executor
+from soma_bullet.control.executive import ExecutionOptions, Executive
+from soma_bullet.control.guide import Compliance
 from soma_bullet.errors import InputError, NoSolutionError
-from soma_bullet.executive.executive import ExecutionOptions, Executive
 from soma_bullet.grasp.hand import Hand
+from soma_bullet.judge.judge import Tolerance, judge
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.qualities import PlannerOptions
 from soma_bullet.planner.store import kept_plan
@@ -28,25 +34,23 @@ from soma_bullet.records import package_versions, read_json, read_npz, write_jso
 from soma_bullet.report.report import EpisodeReport
 from soma_bullet.robot.cell import find_hand, load_cell
 from soma_bullet.robot.model import Cell
-from soma_bullet.sim.execute import Executor
-from soma_bullet.sim.guide import Compliance
-from soma_bullet.sim.judge import Tolerance, judge
-from soma_bullet.sim.log import ExecutionLog
-from soma_bullet.sim.stage import Physics
-from soma_bullet.sim.world import World
 from soma_bullet.task.feed import Feed, FeedOptions, draw_feed, misplace
 from soma_bullet.task.overlap import overlapped
 from soma_bullet.task.program import make_program
 from soma_bullet.task.schedule import Scheduler
 from soma_bullet.task.segments import Program
 from soma_bullet.task.workcell import Workcell
+from soma_bullet.world.log import ExecutionLog
 
 if TYPE_CHECKING:
-    from soma_bullet.sim.film import FilmOptions
+    from soma_bullet.pictures.film import FilmOptions
 
 Progress = Callable[[str, float], None]  # what is going on, and the fraction of the stage that is done
 ORDERS = 12  # orders that are tried, best first, before the search for a schedule gives up
-POOR, THOROUGH = 0.2, 3.0  # of the best score: before orders below, the better ones are searched again, so many times longer
+POOR, THOROUGH = (
+    0.2,
+    3.0,
+)  # of the best score: before orders below, the better ones are searched again, so many times longer
 
 
 @dataclass(frozen=True)
@@ -105,8 +109,10 @@ def run_episode(
 
     Args:
         assembly: file or name.
-        out: folder for `plan.json`, `program.npz`, `log.npz`, `report.json` and the video; None writes nothing.
-        resume: one of those files (but the report) of an earlier run: what comes before it is taken from there.
+        out: folder for `plan.json`, `program.npz`, `log.npz`, `report.json` and the video; None writes
+            nothing.
+        resume: one of those files (but the report) of an earlier run: what comes before it is taken from
+            there.
         plan_only: stop after the plan, and return None.
 
     Raises:
@@ -191,7 +197,8 @@ def _certificates(program: Program | None) -> dict[str, float]:
 
 
 def _planned(program: Program | None) -> dict[str, float]:
-    """Planned makespans [s]: of the program, and of one arm at a time, where both were planned at its best and as scheduled."""
+    """Planned makespans [s]: of the program, and of one arm at a time, where both were planned at its best
+    and as scheduled."""
     if program is None:
         return {}
     if not np.isfinite(program.alone):
@@ -209,7 +216,10 @@ def _load_cell(options: EpisodeOptions) -> Cell:
     for arm in cell.arms:
         weakest, strongest = arm.hand.force_range
         if force is not None and not weakest <= force <= strongest:
-            raise InputError("--physics.grip-force", f"{force:g} N: {arm.hand.name} grips with {weakest:g} to {strongest:g} N")
+            raise InputError(
+                "--physics.grip-force",
+                f"{force:g} N: {arm.hand.name} grips with {weakest:g} to {strongest:g} N",
+            )
     return cell
 
 
@@ -227,7 +237,9 @@ def _resumed(
     level = kinds[resume.name]
     plan_file, program_file = (resume.parent / name for name in ("plan.json", "program.npz"))
     log = read_npz(ExecutionLog, resume) if level == 2 else None
-    program = read_npz(Program, program_file) if level == 1 or (level == 2 and program_file.is_file()) else None
+    program = (
+        read_npz(Program, program_file) if level == 1 or (level == 2 and program_file.is_file()) else None
+    )
     if level == 1 and not plan_file.is_file():
         raise InputError(str(resume), f"its plan is missing: no file {plan_file}")
     plan = read_json(AssemblyPlan, plan_file) if plan_file.is_file() else None
@@ -235,7 +247,8 @@ def _resumed(
         if found is not None and found.digest != assembly.digest:
             raise InputError(
                 str(resume),
-                f"was made for another assembly: digest {found.digest[:12]}, {assembly.name} has {assembly.digest[:12]}",
+                f"was made for another assembly: digest {found.digest[:12]}, {assembly.name} has "
+                f"{assembly.digest[:12]}",
             )
     for made in (program, log):
         if made is not None and made.cell != cell.name:
@@ -245,7 +258,9 @@ def _resumed(
         raise InputError(str(resume), f"was made for the hand {plan.hand!r}, not {hand!r}")
     if plan is not None and program is not None and plan.order != program.order:
         orders = " <- ".join(program.order), " <- ".join(plan.order)
-        raise InputError(str(resume), f"was made for another plan than the one beside it: {orders[0]}, not {orders[1]}")
+        raise InputError(
+            str(resume), f"was made for another plan than the one beside it: {orders[0]}, not {orders[1]}"
+        )
     return plan, program, log
 
 
@@ -263,14 +278,19 @@ def _plan_and_program(
             scheduler = schedulers[candidate.order]
             scheduler.effort = effort
             say = lambda reason: progress(reason, 0.0)  # noqa: E731
-            return candidate, make_program(workcell, candidate, scheduler.feed, options.seed, say, scheduler=scheduler)
+            return candidate, make_program(
+                workcell, candidate, scheduler.feed, options.seed, say, scheduler=scheduler
+            )
         except NoSolutionError as error:
             reasons += error.reasons or Counter({error.summary: 1})
-    raise NoSolutionError("schedule", f"none of the {len(orders)} best orders of {assembly.name} has a schedule", reasons)
+    raise NoSolutionError(
+        "schedule", f"none of the {len(orders)} best orders of {assembly.name} has a schedule", reasons
+    )
 
 
 def _candidates(assembly: Assembly, hand: Hand, plan: AssemblyPlan) -> Iterator[tuple[AssemblyPlan, float]]:
-    """Plans of different orders, best first, and the effort of their search: before far worse orders the better ones again."""
+    """Plans of different orders, best first, and the effort of their search: before far worse orders the
+    better ones again."""
     best, better, excluded = plan.score, list[AssemblyPlan](), frozenset[tuple[str, ...]]()
     for _ in range(ORDERS):
         if plan.score < POOR * best:
@@ -288,15 +308,24 @@ def _candidates(assembly: Assembly, hand: Hand, plan: AssemblyPlan) -> Iterator[
 
 
 def execute(
-    assembly: Assembly, workcell: Workcell, plan: AssemblyPlan, program: Program, options: EpisodeOptions, progress: Progress
+    assembly: Assembly,
+    workcell: Workcell,
+    plan: AssemblyPlan,
+    program: Program,
+    options: EpisodeOptions,
+    progress: Progress,
 ) -> ExecutionLog:
     """The program in physics, and what the executive makes of it."""
     actual: Feed = misplace(assembly, program.feed, options.feed, options.seed)
     poses = {name: actual.pose(name) for name in actual.names}
-    world = World(workcell.cell, assembly, program.stand, poses, np.array(workcell.robot.home), options.physics)
+    world = BulletSimulator(
+        workcell.cell, assembly, program.stand, poses, np.array(workcell.robot.home), options.physics
+    )
     try:
         executor = Executor(world, program, Compliance() if options.execution.compliant else None)
-        executive = Executive(workcell, plan, program, executor, options.feed, options.execution, options.ablate, progress)
+        executive = Executive(
+            workcell, plan, program, executor, options.feed, options.execution, options.ablate, progress
+        )
         ended = executive.run()
         executor.settle()
         return executor.log(ended)
@@ -305,9 +334,15 @@ def execute(
 
 
 def _render(
-    log: ExecutionLog, assembly: Assembly, cell: Cell, out: Path, options: FilmOptions, success: bool, progress: Progress
+    log: ExecutionLog,
+    assembly: Assembly,
+    cell: Cell,
+    out: Path,
+    options: FilmOptions,
+    success: bool,
+    progress: Progress,
 ) -> dict[str, str]:
-    from soma_bullet.sim.film import film, still  # the renderer is not needed by every episode
+    from soma_bullet.pictures.film import film, still  # the renderer is not needed by every episode
 
     closing = "every piece is in place" if success else "not in place"
     made = film(

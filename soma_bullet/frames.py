@@ -63,7 +63,9 @@ def rotation_about(axis: ArrayLike, angle: float) -> Array:
 def rotation_angle(rotation_a: ArrayLike, rotation_b: ArrayLike) -> float:
     """Angle [rad] of the rotation between two rotation matrices (3, 3)."""
     turn = np.asarray(rotation_a).T @ np.asarray(rotation_b)
-    sine = np.array((turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]))  # twice the axis' share
+    sine = np.array(
+        (turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1])
+    )  # twice the axis' share
     return float(np.arctan2(np.sqrt(sine @ sine), np.trace(turn) - 1.0))
 
 
@@ -80,7 +82,8 @@ def to_quat_xyzw(transform: ArrayLike) -> tuple[Array, Array]:
 
 
 def tangents(normal: ArrayLike) -> tuple[Array, Array]:
-    """Unit tangents t, b of a unit normal (3,): t = n x z, or the frame's x where n is vertical; b = n x t."""
+    """Unit tangents t, b of a unit normal (3,): t = n x z, or the frame's x where n is vertical; b = n x
+    t."""
     normal = np.asarray(normal, float)
     tangent = np.cross(normal, (0.0, 0.0, 1.0))
     length = np.linalg.norm(tangent)

@@ -25,8 +25,19 @@ from soma_bullet.errors import InputError
 T = TypeVar("T")
 SCHEMA = 1  # of every file that this package writes
 VERSIONED = (
-    "soma_bullet", "pybullet", "ompl", "numpy", "scipy", "highspy", "shapely", "pin", "coal", "eaik", "toppra", "trimesh",
-)  # fmt: skip
+    "soma_bullet",
+    "pybullet",
+    "ompl",
+    "numpy",
+    "scipy",
+    "highspy",
+    "shapely",
+    "pin",
+    "coal",
+    "eaik",
+    "toppra",
+    "trimesh",
+)
 
 _converter = Converter(forbid_extra_keys=True)
 _is_array = lambda kind: kind is np.ndarray or get_origin(kind) is np.ndarray  # noqa: E731
@@ -89,7 +100,8 @@ def read_json(kind: type[T], path: Path) -> T:
 
 
 def write_npz(value: Any, path: Path) -> None:
-    """Write a dataclass with its arrays binary and the rest as one JSON string; the same value gives the same bytes."""
+    """Write a dataclass with its arrays binary and the rest as one JSON string; the same value gives the same
+    bytes."""
     arrays: dict[str, np.ndarray] = {}
 
     def walk(node: Any) -> Any:
@@ -127,7 +139,11 @@ def read_npz(kind: type[T], path: Path) -> T:
 
     def walk(node: Any) -> Any:
         if isinstance(node, dict):
-            return arrays[node["$array"]] if "$array" in node else {key: walk(child) for key, child in node.items()}
+            return (
+                arrays[node["$array"]]
+                if "$array" in node
+                else {key: walk(child) for key, child in node.items()}
+            )
         return [walk(child) for child in node] if isinstance(node, list) else node
 
     return _structure(kind, walk(tree), path)
@@ -139,7 +155,9 @@ def _structure(kind: type[T], tree: Any, path: Path) -> T:
     try:
         return _converter.structure(tree, kind)
     except (BaseValidationError, ValueError, TypeError, KeyError) as error:
-        raise InputError(str(path), [f"is not a {kind.__name__}: {line}" for line in transform_error(error)]) from None
+        raise InputError(
+            str(path), [f"is not a {kind.__name__}: {line}" for line in transform_error(error)]
+        ) from None
 
 
 def _replace(path: Path, write: Callable[[str], Any]) -> None:

@@ -17,7 +17,8 @@ _SCHEMA = 1
 
 
 class Fields:
-    """One table of a TOML file, read key by key; faults are collected, and keys that nobody read are faults as well."""
+    """One table of a TOML file, read key by key; faults are collected, and keys that nobody read are faults
+    as well."""
 
     def __init__(self, table: Mapping[str, Any], faults: list[str], where: str = ""):
         self._table, self.faults, self._where, self._read = table, faults, where, set[str]()
@@ -50,7 +51,9 @@ class Fields:
         values = self._get(key, list, what, None)
         if values is None:
             return ()
-        if not all(isinstance(value, str) for value in values) or (count is not None and len(values) != count):
+        if not all(isinstance(value, str) for value in values) or (
+            count is not None and len(values) != count
+        ):
             self.faults.append(f"{self._where}{key} = {values!r}: must be {what}")
             return ()
         return tuple(values)
@@ -65,11 +68,14 @@ class Fields:
         if value is None:
             return np.nan
         if not np.isfinite(value) or (positive and value <= 0):
-            self.faults.append(f"{self._where}{key} = {value}: must be {'positive' if positive else 'finite'}")
+            self.faults.append(
+                f"{self._where}{key} = {value}: must be {'positive' if positive else 'finite'}"
+            )
         return float(value)
 
     def numbers(self, key: str, shape: tuple[int, ...], fallback: Any = None) -> Array:
-        """An array of finite numbers; NaN where it is missing or wrong. -1 in `shape` stands for any length."""
+        """An array of finite numbers; NaN where it is missing or wrong. -1 in `shape` stands for any
+        length."""
         what = "an array of numbers of shape " + " x ".join("n" if n < 0 else str(n) for n in shape)
         value = self._get(key, list, what, fallback)
         wrong = np.full([max(n, 1) for n in shape], np.nan)
@@ -108,7 +114,9 @@ class Fields:
         """Unread keys are faults: a typo must not pass for a default."""
         for key in self._table:
             if key not in self._read:
-                self.faults.append(f"{self._where}{key} is unknown; known here: {', '.join(sorted(self._read))}")
+                self.faults.append(
+                    f"{self._where}{key} is unknown; known here: {', '.join(sorted(self._read))}"
+                )
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -32,13 +32,17 @@ def cells(body: Sequence[Cell], name: str = "cells", side: float = SIDE) -> Work
 def solid(body: manifold3d.Manifold, name: str = "solid", **options: float) -> Workpiece:
     """A body of manifold3d, in mm."""
     raw = body.to_mesh64()
-    return Workpiece(name, readonly(raw.vert_properties[:, :3] / 1e3), readonly(raw.tri_verts, int), **options)
+    return Workpiece(
+        name, readonly(raw.vert_properties[:, :3] / 1e3), readonly(raw.tri_verts, int), **options
+    )
 
 
 def cup(radius: float, sections: int = 24) -> trimesh.Trimesh:
     """Half a hollow sphere, open upwards: curved inwards in two directions."""
     shell = manifold3d.Manifold.sphere(radius, sections) - manifold3d.Manifold.sphere(0.8 * radius, sections)
-    raw = (shell - manifold3d.Manifold.cube([5 * radius] * 3, True).translate([0, 0, 2.5 * radius])).to_mesh64()
+    raw = (
+        shell - manifold3d.Manifold.cube([5 * radius] * 3, True).translate([0, 0, 2.5 * radius])
+    ).to_mesh64()
     return trimesh.Trimesh(raw.vert_properties[:, :3], raw.tri_verts, process=False)
 
 
@@ -69,7 +73,10 @@ def refined(whole: Assembly, seed: int) -> Assembly:
 
 def scaled(whole: Assembly, factor: float) -> Assembly:
     """Everything larger by a factor."""
-    pieces = tuple(replace(p, vertices=readonly(p.vertices * factor), clearance=p.clearance * factor) for p in whole.pieces)
+    pieces = tuple(
+        replace(p, vertices=readonly(p.vertices * factor), clearance=p.clearance * factor)
+        for p in whole.pieces
+    )
     goals = np.array(whole.goals)
     goals[:, :3, 3] *= factor
     support = replace(whole.support, height=whole.support.height * factor)

@@ -1,4 +1,5 @@
-"""The three-block task in the two-arm cell, planned once for all tests: every piece in its preferred resting pose."""
+"""The three-block task in the two-arm cell, planned once for all tests: every piece in its preferred resting
+pose."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""The benchmark of motions, physics and episodes: what it measures, and what it says of bad arguments. Not: how fast it is."""
+"""The benchmark of motions, physics and episodes: what it measures, and what it says of bad arguments. Not:
+how fast it is."""
 
 from __future__ import annotations
 
@@ -36,7 +37,9 @@ def two_blocks(tmp_path_factory: pytest.TempPathFactory) -> str:
     return write_two_blocks(tmp_path_factory.mktemp("two"))
 
 
-def row(benchmark: Any, kind: str, cpu: float, birrt: float, solved: bool = True, birrt_solved: bool | None = True) -> Any:
+def row(
+    benchmark: Any, kind: str, cpu: float, birrt: float, solved: bool = True, birrt_solved: bool | None = True
+) -> Any:
     parts = dict.fromkeys(benchmark.PARTS, cpu / len(benchmark.PARTS))
     return benchmark.Timed("q", kind, solved, cpu, 2 * cpu, parts, birrt_solved, birrt, 2 * birrt)
 
@@ -50,7 +53,11 @@ def test_the_table_of_motions(benchmark: Any) -> None:
     ]
     rows[-1].birrt_note = "goal in collision"
     said = benchmark.motion_table(rows)
-    assert "| transfer | 2 of 2 | 15.0 ms |" in said and "| home | 0 of 1 |" in said and "| all | 3 of 4 |" in said
+    assert (
+        "| transfer | 2 of 2 | 15.0 ms |" in said
+        and "| home | 0 of 1 |" in said
+        and "| all | 3 of 4 |" in said
+    )
     assert "| chain, median | < 25 ms | 50.0 ms | 25.0 ms | no |" in said
     assert "| birrt's median over ours | > 15 | 20.0 | 20.0 | yes |" in said
     assert "| transfer | 2 of 2 | 2 of 2 | 15.0 ms | 300.0 ms | 390.0 ms | 20.0 |" in said
@@ -92,12 +99,16 @@ def test_bad_arguments(benchmark: Any, arguments: dict, said: str, tmp_path: Pat
 
 def test_without_pybullet_planning_one_is_told(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"pip install 'soma_bullet\[benchmark\]' installs it, --no-birrt does without"):
+    with pytest.raises(
+        InputError, match=r"pip install 'soma_bullet\[benchmark\]' installs it, --no-birrt does without"
+    ):
         benchmark.motion(benchmark.Motion(), lambda text: None)
 
 
 @pytest.mark.slow
-def test_motions_of_a_program(benchmark: Any, two_blocks: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_motions_of_a_program(
+    benchmark: Any, two_blocks: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     pytest.importorskip("pybullet_planning", reason="an extra: pip install soma_bullet[benchmark]")
     options = benchmark.Motion((two_blocks,), seeds=1, resolution=0.05, out=tmp_path / "out.json")
     benchmark.motion(options, lambda text: None)
@@ -111,7 +122,8 @@ def test_motions_of_a_program(benchmark: Any, two_blocks: str, tmp_path: Path, c
 
 @pytest.mark.slow
 def test_the_world_of_birrt_is_ours(benchmark: Any, two_blocks: str) -> None:
-    """What is free in our scene is free in its world; an arm in the table or in the other block collides in both."""
+    """What is free in our scene is free in its world; an arm in the table or in the other block collides in
+    both."""
     pytest.importorskip("pybullet_planning", reason="an extra: pip install soma_bullet[benchmark]")
     workcell = Workcell(load_assembly(two_blocks), load_cell("ur5e_pair"))
     queries = benchmark._queries("two", workcell, 0, "preferred")
@@ -135,7 +147,12 @@ def _lowered(pose: Any) -> Any:
 def test_physics_and_an_episode(benchmark: Any, two_blocks: str, capsys: pytest.CaptureFixture[str]) -> None:
     benchmark.simulate(benchmark.Simulate(two_blocks))
     said = capsys.readouterr().out
-    assert "| steps, nothing gripped |" in said and "| steps, one hand grips |" in said and "ended: done" in said
+    assert (
+        "| steps, nothing gripped |" in said and "| steps, one hand grips |" in said and "ended: done" in said
+    )
     benchmark.episode(benchmark.Episode(two_blocks, seeds=1, poses="preferred"), lambda text: None)
     said = capsys.readouterr().out
-    assert all(f"| {stage} |" in said for stage in ("motion", "execution", "judgement", "all")) and "1 of 1 succeeded" in said
+    assert (
+        all(f"| {stage} |" in said for stage in ("motion", "execution", "judgement", "all"))
+        and "1 of 1 succeeded" in said
+    )

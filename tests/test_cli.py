@@ -1,4 +1,5 @@
-"""The command line: bad input is named, costs nothing and writes nothing; what is found goes to files, stdout stays clean."""
+"""The command line: bad input is named, costs nothing and writes nothing; what is found goes to files, stdout
+stays clean."""
 
 from __future__ import annotations
 
@@ -49,7 +50,7 @@ def never_planned(monkeypatch: pytest.MonkeyPatch) -> None:
 
     import soma_bullet.episode as episode
 
-    for name in ("kept_plan", "make_program", "Workcell", "World"):
+    for name in ("kept_plan", "make_program", "Workcell", "BulletSimulator"):
         monkeypatch.setattr(episode, name, fail)
 
 
@@ -69,7 +70,7 @@ def refused(arguments: list[str], capsys: Captured) -> str:
     return re.sub(r"[\s│]+", " ", captured.err)
 
 
-# --- values ------------------------------------------------------------------------------------------------------------
+# --- values -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -117,7 +118,7 @@ def test_no_assembly_at_all(capsys: Captured) -> None:
     assert "assembly" in refused([], capsys).lower()
 
 
-# --- names and files ---------------------------------------------------------------------------------------------------
+# --- names and files ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -131,13 +132,17 @@ def test_no_assembly_at_all(capsys: Captured) -> None:
         (["soma3", "--from", "none/plan.json"], "--from: no file none/plan.json"),
     ],
 )
-def test_a_name_that_nothing_has(arguments: list[str], said: str, capsys: Captured, never_planned: None) -> None:
+def test_a_name_that_nothing_has(
+    arguments: list[str], said: str, capsys: Captured, never_planned: None
+) -> None:
     assert re.search(said, refused(arguments, capsys))
 
 
 def test_an_assembly_file_with_faults(tmp_path: Path, capsys: Captured, never_planned: None) -> None:
     text = (ROOT / "meshes/soma/soma3.toml").read_text()
-    (tmp_path / "bad.toml").write_text(text.replace('unit = "mm"', "").replace('mesh = "V.obj"', 'mesh = "none.obj"'))
+    (tmp_path / "bad.toml").write_text(
+        text.replace('unit = "mm"', "").replace('mesh = "V.obj"', 'mesh = "none.obj"')
+    )
     said = refused(["bad.toml"], capsys)
     assert "unit" in said
     (tmp_path / "bad.toml").write_text(text.replace('mesh = "V.obj"', 'mesh = "none.obj"'))
@@ -151,18 +156,26 @@ def test_a_hand_file_with_faults(tmp_path: Path, capsys: Captured, never_planned
     folder = tmp_path / "hand"
     shutil.copytree(ROOT / "robots/ur5e_pair", folder)
     text = (folder / "hand.toml").read_text()
-    (folder / "hand.toml").write_text(text.replace("opening = 85.0", "opening = -85.0").replace('tcp = "tcp"', 'tool = "tcp"'))
+    (folder / "hand.toml").write_text(
+        text.replace("opening = 85.0", "opening = -85.0").replace('tcp = "tcp"', 'tool = "tcp"')
+    )
     said = refused(["soma3", "--hand", str(folder / "hand.toml")], capsys)
     assert (
-        "grip.opening = -85.0: must be positive" in said and "links.tcp is missing" in said and "links.tool is unknown" in said
+        "grip.opening = -85.0: must be positive" in said
+        and "links.tcp is missing" in said
+        and "links.tool is unknown" in said
     )
     (folder / "hand.toml").write_text("[grip")
     assert "cannot be read as TOML" in refused(["soma3", "--hand", str(folder / "hand.toml")], capsys)
 
 
-def test_a_file_that_cannot_be_resumed_from(planned: Path, tmp_path: Path, capsys: Captured, never_planned: None) -> None:
+def test_a_file_that_cannot_be_resumed_from(
+    planned: Path, tmp_path: Path, capsys: Captured, never_planned: None
+) -> None:
     shutil.copy(planned / "plan.json", tmp_path / "my_plan.json")
-    assert "my_plan.json is none of plan.json, program.npz, log.npz" in refused(["soma3", "--from", "my_plan.json"], capsys)
+    assert "my_plan.json is none of plan.json, program.npz, log.npz" in refused(
+        ["soma3", "--from", "my_plan.json"], capsys
+    )
     assert "--from: no file" in refused(["soma3", "--from", str(planned)], capsys)
 
 
@@ -177,14 +190,20 @@ def test_a_plan_of_an_assembly_that_has_changed_since(
     shutil.copytree(ROOT / "meshes/soma", tmp_path / "soma")
     file = tmp_path / "soma/soma3.toml"
     file.write_text(file.read_text().replace("density = 700.0", "density = 701.0"))
-    assert "was made for another assembly" in refused([str(file), "--from", str(planned / "plan.json")], capsys)
+    assert "was made for another assembly" in refused(
+        [str(file), "--from", str(planned / "plan.json")], capsys
+    )
 
 
-def test_a_plan_for_another_hand(planned: Path, tmp_path: Path, capsys: Captured, never_planned: None) -> None:
+def test_a_plan_for_another_hand(
+    planned: Path, tmp_path: Path, capsys: Captured, never_planned: None
+) -> None:
     (tmp_path / "run").mkdir()
     plan = read_json(AssemblyPlan, planned / "plan.json")
     write_json(replace(plan, hand="other_hand"), tmp_path / "run/plan.json")
-    assert "was made for the hand 'other_hand', not 'slim_hand'" in refused(["soma3", "--from", "run/plan.json"], capsys)
+    assert "was made for the hand 'other_hand', not 'slim_hand'" in refused(
+        ["soma3", "--from", "run/plan.json"], capsys
+    )
 
 
 def test_a_program_beside_another_plan(
@@ -199,11 +218,18 @@ def test_a_program_beside_another_plan(
     made = SimpleNamespace(digest=plan.digest, cell="ur5e_pair", order=("BigL", "Z", "smallL"))
     monkeypatch.setattr(episode, "read_npz", lambda kind, path: made)
     said = refused(["soma3", "--from", "run/program.npz"], capsys)
-    assert "was made for another plan than the one beside it: BigL <- Z <- smallL, not Z <- BigL <- smallL" in said
+    assert (
+        "was made for another plan than the one beside it: BigL <- Z <- smallL, not Z <- BigL <- smallL"
+        in said
+    )
     made.cell = "other"
-    assert "was made for the cell 'other', not 'ur5e_pair'" in refused(["soma3", "--from", "run/program.npz"], capsys)
+    assert "was made for the cell 'other', not 'ur5e_pair'" in refused(
+        ["soma3", "--from", "run/program.npz"], capsys
+    )
     (tmp_path / "run/plan.json").unlink()
-    assert "its plan is missing: no file run/plan.json" in refused(["soma3", "--from", "run/program.npz"], capsys)
+    assert "its plan is missing: no file run/plan.json" in refused(
+        ["soma3", "--from", "run/program.npz"], capsys
+    )
 
 
 @pytest.mark.parametrize(
@@ -218,7 +244,12 @@ def test_a_program_beside_another_plan(
     ],
 )
 def test_a_spoilt_plan(
-    planned: Path, tmp_path: Path, capsys: Captured, never_planned: None, spoil: Callable[[str], str], said: str
+    planned: Path,
+    tmp_path: Path,
+    capsys: Captured,
+    never_planned: None,
+    spoil: Callable[[str], str],
+    said: str,
 ) -> None:
     (tmp_path / "run").mkdir()
     (tmp_path / "run/plan.json").write_text(spoil((planned / "plan.json").read_text()))
@@ -236,10 +267,14 @@ def test_a_spoilt_archive(
     assert "cannot be read as a file of this package" in refused(["soma3", "--from", f"run/{name}"], capsys)
 
 
-def test_a_plan_under_the_name_of_a_program(planned: Path, tmp_path: Path, capsys: Captured, never_planned: None) -> None:
+def test_a_plan_under_the_name_of_a_program(
+    planned: Path, tmp_path: Path, capsys: Captured, never_planned: None
+) -> None:
     (tmp_path / "run").mkdir()
     shutil.copy(planned / "plan.json", tmp_path / "run/program.npz")
-    assert "cannot be read as a file of this package" in refused(["soma3", "--from", "run/program.npz"], capsys)
+    assert "cannot be read as a file of this package" in refused(
+        ["soma3", "--from", "run/program.npz"], capsys
+    )
 
 
 def test_an_output_folder_that_is_a_file(tmp_path: Path, capsys: Captured, never_planned: None) -> None:
@@ -250,7 +285,7 @@ def test_an_output_folder_that_is_a_file(tmp_path: Path, capsys: Captured, never
         assert "--out" in captured.err and "taken" in captured.err and captured.out == ""
 
 
-# --- what cannot be planned --------------------------------------------------------------------------------------------
+# --- what cannot be planned ---------------------------------------------------------------------------------
 
 
 def test_a_piece_too_large_for_the_hand(tmp_path: Path, capsys: Captured) -> None:
@@ -270,7 +305,7 @@ def test_a_piece_too_large_for_the_hand(tmp_path: Path, capsys: Captured) -> Non
     assert not (tmp_path / "run").exists()
 
 
-# --- plan.json ---------------------------------------------------------------------------------------------------------
+# --- plan.json ----------------------------------------------------------------------------------------------
 
 
 def test_plan_only_writes_the_plan_and_nothing_else(tmp_path: Path, capsys: Captured) -> None:
@@ -310,9 +345,18 @@ def test_plan_json_says_everything(stability: str, tmp_path: Path) -> None:
 
 
 def test_the_same_seed_gives_the_same_plan_in_another_process(planned: Path, tmp_path: Path) -> None:
-    command = [sys.executable, str(ROOT / "scripts/run_episode.py"), "soma3", "--plan-only", "--out", str(tmp_path / "again")]
+    command = [
+        sys.executable,
+        str(ROOT / "scripts/run_episode.py"),
+        "soma3",
+        "--plan-only",
+        "--out",
+        str(tmp_path / "again"),
+    ]
     environment = os.environ | {"PYTHONPATH": str(ROOT), "PYTHONHASHSEED": "12345"}
-    result = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False)
+    result = subprocess.run(
+        command, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False
+    )
     assert result.returncode == 0, result.stderr
     assert result.stdout == ""
     assert (tmp_path / "again/plan.json").read_bytes() == (planned / "plan.json").read_bytes()

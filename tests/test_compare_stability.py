@@ -1,4 +1,5 @@
-"""The comparison of stability verdicts: what is drawn, what compas-cra answers, and that the table is the seed's alone."""
+"""The comparison of stability verdicts: what is drawn, what compas-cra answers, and that the table is the
+seed's alone."""
 
 from __future__ import annotations
 
@@ -12,12 +13,12 @@ import numpy as np
 import pytest
 from blocks import assembly, box
 
+from soma_bullet.bullet.standing import stands
 from soma_bullet.errors import InputError
 from soma_bullet.planner.equilibrium import classify, equilibrium_margin
 from soma_bullet.records import read_json, to_tree
 from soma_bullet.robot.cell import load_cell
 from soma_bullet.robot.model import Cell
-from soma_bullet.sim.standing import stands
 from soma_bullet.validation.comparison import (
     BAND,
     CLEARANCES,
@@ -87,7 +88,9 @@ def test_the_signed_margin_of_a_beam_on_a_post(shift: float) -> None:
 
 
 def test_what_no_push_can_keep_up_is_infinitely_far_from_standing() -> None:
-    whole = assembly([box((0.02,) * 3, "post"), box((0.1, 0.02, 0.002), "plank")], [(0, 0, 0.01), (0.035, 0, 0.021)])
+    whole = assembly(
+        [box((0.02,) * 3, "post"), box((0.1, 0.02, 0.002), "plank")], [(0, 0, 0.01), (0.035, 0, 0.021)]
+    )
     assert signed_margin(whole, BOTH, "friction") == -np.inf
     assert equilibrium_margin(whole, BOTH, frozenset(), "friction") == 0.0
     assert RigidBlocks(whole).pull() > PULL
@@ -100,7 +103,8 @@ def test_compas_cra_knows_one_coefficient_of_friction() -> None:
 
 
 def test_what_is_open_when_the_pieces_have_settled_may_not_carry(cell: Cell) -> None:
-    """V overhangs B, carries Z, and is held down by P, which settles as far as V: the faces between them stay 2c apart."""
+    """V overhangs B, carries Z, and is held down by P, which settles as far as V: the faces between them stay
+    2c apart."""
     tower = [
         Placement("B", 10, (0, 0, 0)),
         Placement("P", 0, (-1, 0, 2)),
@@ -116,9 +120,17 @@ def test_what_is_open_when_the_pieces_have_settled_may_not_carry(cell: Cell) -> 
         assert stands(whole, everything, cell).fell == falls
 
 
-def state(verdict: str, margin: float, fell: bool = False, tie: bool = False, pulls: tuple[float, float] = (0.0, 0.0)) -> State:
+def state(
+    verdict: str,
+    margin: float,
+    fell: bool = False,
+    tie: bool = False,
+    pulls: tuple[float, float] = (0.0, 0.0),
+) -> State:
     """What a judgement might be; pulls are those of compas-cra, its cones alike and its own."""
-    trials = tuple(Trial(c * 1e3, verdict, max(margin, 0.0), max(margin, 0.0), 0.1, fell, 0.0, 0.0) for c in CLEARANCES)
+    trials = tuple(
+        Trial(c * 1e3, verdict, max(margin, 0.0), max(margin, 0.0), 0.1, fell, 0.0, 0.0) for c in CLEARANCES
+    )
     return State(0, (Placement("V", 0, (0, 0, 0)),), tie, trials, Blocks(margin, *pulls, None, None, None))
 
 
@@ -160,7 +172,9 @@ def test_eight_states_whatever_the_number_of_workers(tmp_path: Path) -> None:
         options = ["--states", "8", "--seed", "7", "--jobs", str(jobs), "--out", str(tmp_path / str(jobs))]
         command = ["scripts/compare_stability.py", *options]
         environment = os.environ | {"PYTHONPATH": str(ROOT)}
-        run = subprocess.run([sys.executable, *command], cwd=ROOT, env=environment, capture_output=True, text=True, check=True)
+        run = subprocess.run(
+            [sys.executable, *command], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
+        )
         found.append((run.stdout, (tmp_path / str(jobs) / "states.json").read_bytes()))
     assert found[0] == found[1]
     comparison = read_json(Comparison, tmp_path / "1" / "states.json")

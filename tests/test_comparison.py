@@ -1,4 +1,5 @@
-"""Two runs compared: counts against a count by hand, the test against the binomial, and runs that cannot be compared."""
+"""Two runs compared: counts against a count by hand, the test against the binomial, and runs that cannot be
+compared."""
 
 from __future__ import annotations
 
@@ -24,18 +25,35 @@ from soma_bullet.evaluation.statistics import Pairs, Rate, contrast
 SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "compare_runs.py"
 
 
-def line(seed: int, success: bool, went_in: tuple[bool, ...] = (True,), assembly: str = "soma3", **options: Any) -> Line:
-    """A line of which only what is compared has been filled in; insertions of Z, BigL, smallL in this order."""
+def line(
+    seed: int, success: bool, went_in: tuple[bool, ...] = (True,), assembly: str = "soma3", **options: Any
+) -> Line:
+    """A line of which only what is compared has been filled in; insertions of Z, BigL, smallL in this
+    order."""
     insertions = [
         {
-            "piece": piece, "arm": "left", "peak_n": 1.0 + seed, "outcome": "as planned", "remaining_mm": 0.0, "went_in": well,
-            "along_mm": 0.3, "across_mm": 0.4, "error_deg": 0.1, "neighbours_mm": 0.01 * seed,
+            "piece": piece,
+            "arm": "left",
+            "peak_n": 1.0 + seed,
+            "outcome": "as planned",
+            "remaining_mm": 0.0,
+            "went_in": well,
+            "along_mm": 0.3,
+            "across_mm": 0.4,
+            "error_deg": 0.1,
+            "neighbours_mm": 0.01 * seed,
         }
         for piece, well in zip(("Z", "BigL", "smallL"), went_in, strict=False)
-    ]  # fmt: skip
+    ]
     blank = blank_line(seed, EvaluationOptions(assembly, **options))
     pieces = [{"name": name, "error_mm": 0.1 * (seed + 1)} for name in ("BigL", "smallL", "Z")]
-    return {**blank, "success": success, "insertions": insertions, "pieces": pieces, "makespan_s": 40.0 + seed}
+    return {
+        **blank,
+        "success": success,
+        "insertions": insertions,
+        "pieces": pieces,
+        "makespan_s": 40.0 + seed,
+    }
 
 
 def write(folder: Path, lines: list[Line]) -> Path:
@@ -56,8 +74,13 @@ def test_episodes_are_paired_by_seed(tmp_path: Path) -> None:
 
 
 def test_insertions_count_up_to_the_first_that_fails(tmp_path: Path) -> None:
-    a = write(tmp_path / "a", [line(0, True, (True, False, True)), line(1, True, (True,)), line(2, False, (False,))])
-    b = write(tmp_path / "b", [line(0, True, (True, True, True)), line(1, True, (True, True)), line(2, True, (False,))])
+    a = write(
+        tmp_path / "a", [line(0, True, (True, False, True)), line(1, True, (True,)), line(2, False, (False,))]
+    )
+    b = write(
+        tmp_path / "b",
+        [line(0, True, (True, True, True)), line(1, True, (True, True)), line(2, True, (False,))],
+    )
     found = compare(a, b).insertions
     assert found is not None
     assert [(pair.seed, pair.piece) for pair in found.compared] == [(0, "Z"), (0, "BigL"), (1, "Z"), (2, "Z")]
@@ -87,7 +110,9 @@ def test_mcnemar_is_a_fair_coin(only_a: int, only_b: int) -> None:
 def test_the_interval_holds_the_median_and_turns_with_the_pair(values: list[tuple[float, float]]) -> None:
     found, turned = contrast(values), contrast([(b, a) for a, b in values])
     assert found.low <= found.difference <= found.high
-    assert (turned.difference, turned.low, turned.high) == pytest.approx((-found.difference, -found.high, -found.low))
+    assert (turned.difference, turned.low, turned.high) == pytest.approx(
+        (-found.difference, -found.high, -found.low)
+    )
 
 
 def test_the_interval_covers_as_often_as_it_says() -> None:
@@ -115,7 +140,9 @@ def test_runs_that_cannot_be_compared(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--any-assembly"):
         compare(a, other)
     assert compare(a, other, any_assembly=True).pairs.both == 1
-    cube = write(tmp_path / "cube", [{**line(0, True), "digest": "0" * 64, "pieces": [{"name": "V", "error_mm": 0.1}]}])
+    cube = write(
+        tmp_path / "cube", [{**line(0, True), "digest": "0" * 64, "pieces": [{"name": "V", "error_mm": 0.1}]}]
+    )
     with pytest.raises(InputError, match="pieces have different names"):
         compare(a, cube, any_assembly=True)
 
@@ -131,6 +158,9 @@ def test_the_command_writes_a_table_a_file_and_a_picture(tmp_path: Path) -> None
     }  # fmt: skip
     assert (tmp_path / "out" / "comparison.png").stat().st_size > 10_000
     bad = subprocess.run(
-        [*command[:3], str(tmp_path), "--out", str(tmp_path / "no")], capture_output=True, text=True, check=False
+        [*command[:3], str(tmp_path), "--out", str(tmp_path / "no")],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert bad.returncode == 2 and "episodes.jsonl" in bad.stderr and not (tmp_path / "no").exists()

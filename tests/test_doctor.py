@@ -12,7 +12,16 @@ from typing import Any
 import pytest
 
 from soma_bullet.cli import doctor as module
-from soma_bullet.cli.doctor import Finding, check_folders, check_packages, check_python, doctor, examine, serves, table
+from soma_bullet.cli.doctor import (
+    Finding,
+    check_folders,
+    check_packages,
+    check_python,
+    doctor,
+    examine,
+    serves,
+    table,
+)
 
 ROOT = Path(__file__).resolve().parents[1]
 SLOWEST = 60.0  # [s]; 15 are meant, and a busy machine is not to fail it
@@ -87,7 +96,9 @@ def test_a_package_that_is_too_old_or_does_not_load(monkeypatch: pytest.MonkeyPa
         return real(name)
 
     monkeypatch.setattr(module.importlib, "import_module", load)
-    monkeypatch.setattr(module.metadata, "version", lambda name: "1.0" if name == "ompl" else metadata_version(name))
+    monkeypatch.setattr(
+        module.metadata, "version", lambda name: "1.0" if name == "ompl" else metadata_version(name)
+    )
     found = findings(check_packages)
     assert "1.0 does not serve" in found["ompl"].says and found["ompl"].state == "bad"
     assert "libgomp" in found["toppra"].says and "--force-reinstall" in found["toppra"].advice
@@ -112,7 +123,10 @@ def test_a_folder_that_cannot_be_written(monkeypatch: pytest.MonkeyPatch, tmp_pa
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc")
     monkeypatch.setattr(module.tempfile, "gettempdir", lambda: str(tmp_path))
     found = findings(check_folders)
-    assert found["folder of kept plans"].state == "warning" and "XDG_CACHE_HOME" in found["folder of kept plans"].advice
+    assert (
+        found["folder of kept plans"].state == "warning"
+        and "XDG_CACHE_HOME" in found["folder of kept plans"].advice
+    )
     assert found["scratch folder"].state == "good" and list(tmp_path.iterdir()) == []
 
 
@@ -120,10 +134,18 @@ def test_a_folder_that_cannot_be_written(monkeypatch: pytest.MonkeyPatch, tmp_pa
     ("done", "state", "said"),
     [
         (SimpleNamespace(returncode=0, stdout="egl|31.0|\n", stderr=""), "good", "EGL draws"),
-        (SimpleNamespace(returncode=0, stdout="tiny|31.0|no plugin\n", stderr=""), "warning", "slow: no plugin"),
+        (
+            SimpleNamespace(returncode=0, stdout="tiny|31.0|no plugin\n", stderr=""),
+            "warning",
+            "slow: no plugin",
+        ),
         (SimpleNamespace(returncode=0, stdout="egl|0.0|\n", stderr=""), "bad", "empty picture"),
         (SimpleNamespace(returncode=-11, stdout="", stderr=""), "bad", "exit status -11"),
-        (SimpleNamespace(returncode=1, stdout="", stderr="Traceback\nValueError: no\n"), "bad", "ValueError: no"),
+        (
+            SimpleNamespace(returncode=1, stdout="", stderr="Traceback\nValueError: no\n"),
+            "bad",
+            "ValueError: no",
+        ),
     ],
 )
 def test_who_draws(done: Any, state: str, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -138,13 +160,19 @@ def test_a_check_that_falls_over_is_a_finding(monkeypatch: pytest.MonkeyPatch) -
         yield Finding("first", "good", "fine")
         raise RuntimeError("what now\nand more")
 
-    monkeypatch.setattr(module, "CHECKS", {"odd": check, "last": lambda: iter([Finding("last", "good", "fine")])})
+    monkeypatch.setattr(
+        module, "CHECKS", {"odd": check, "last": lambda: iter([Finding("last", "good", "fine")])}
+    )
     assert [(f.what, f.state) for f in examine()] == [("first", "good"), ("odd", "bad"), ("last", "good")]
 
 
 @pytest.mark.parametrize(("state", "status"), [("good", 0), ("warning", 0), ("bad", 1)])
-def test_the_exit_status(state: Any, status: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    monkeypatch.setattr(module, "CHECKS", {"it": lambda: iter([Finding("it", state, "says", "do this" * (state != "good"))])})
+def test_the_exit_status(
+    state: Any, status: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(
+        module, "CHECKS", {"it": lambda: iter([Finding("it", state, "says", "do this" * (state != "good"))])}
+    )
     assert doctor([]) == status
     said = capsys.readouterr().out
     assert ("-> do this" in said) is (state != "good")
@@ -152,5 +180,7 @@ def test_the_exit_status(state: Any, status: int, monkeypatch: pytest.MonkeyPatc
 
 
 def test_long_lines_are_wrapped() -> None:
-    lines = table([Finding("it", "bad", "word " * 60, "advice " * 60), Finding("a longer name", "good", "")]).splitlines()
+    lines = table(
+        [Finding("it", "bad", "word " * 60, "advice " * 60), Finding("a longer name", "good", "")]
+    ).splitlines()
     assert max(map(len, lines)) <= module.WIDTH and sum("->" in line for line in lines) == 1

@@ -1,4 +1,5 @@
-"""Whole episodes in physics: the three blocks stand, the log gives the same verdict again, and without the hold they fall."""
+"""Whole episodes in physics: the three blocks stand, the log gives the same verdict again, and without the
+hold they fall."""
 
 from __future__ import annotations
 
@@ -14,12 +15,12 @@ from soma_bullet import episode
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.episode import EpisodeOptions, run_episode
 from soma_bullet.errors import NoSolutionError
+from soma_bullet.pictures.film import FilmOptions
 from soma_bullet.records import VERSIONED, read_npz, to_tree
 from soma_bullet.report.report import EpisodeReport
 from soma_bullet.robot.cell import load_cell
-from soma_bullet.sim.film import FilmOptions
-from soma_bullet.sim.log import ExecutionLog
 from soma_bullet.task.segments import Program
+from soma_bullet.world.log import ExecutionLog
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("episode")]
 FILM = FilmOptions((320, 180), fps=5.0, speed=8.0, supersampling=1, jobs=1)
@@ -42,7 +43,9 @@ class Run:
 def built(tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder = tmp_path_factory.mktemp("episode") / "soma3"
     said: list[tuple[str, float]] = []
-    report = run_episode("soma3", EpisodeOptions(seed=0, film=FILM), folder, progress=lambda *row: said.append(row))
+    report = run_episode(
+        "soma3", EpisodeOptions(seed=0, film=FILM), folder, progress=lambda *row: said.append(row)
+    )
     assert report is not None
     assert all(0.0 <= fraction <= 1.0 for _, fraction in said) and len({what for what, _ in said}) > 20
     return Run(folder, report)
@@ -57,7 +60,7 @@ def ablated(built: Run, tmp_path_factory: pytest.TempPathFactory) -> Run:
     return Run(folder, report)
 
 
-# --- the three blocks stand --------------------------------------------------------------------------------------------
+# --- the three blocks stand ---------------------------------------------------------------------------------
 
 
 def test_three_blocks_are_built(built: Run) -> None:
@@ -79,10 +82,20 @@ def test_files_are_written(built: Run) -> None:
 def test_the_report_says_everything(built: Run) -> None:
     text = (built.folder / "report.json").read_text(encoding="utf-8")
     report = json.loads(text, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
-    assert report["success"] is True and (report["assembly"], report["cell"], report["seed"]) == ("soma3", "ur5e_pair", 0)
-    assert [set(piece) >= {"name", "error_mm", "error_max_mm", "error_deg"} for piece in report["pieces"]] == [True] * 3
-    assert {"slips", "holds", "forbidden", "insertions", "dropped", "limits", "causes"} <= set(report["judgement"])
-    assert len(report["judgement"]["slips"]) >= len(report["judgement"]["insertions"]) == 3  # a piece may be gripped twice
+    assert report["success"] is True and (report["assembly"], report["cell"], report["seed"]) == (
+        "soma3",
+        "ur5e_pair",
+        0,
+    )
+    assert [
+        set(piece) >= {"name", "error_mm", "error_max_mm", "error_deg"} for piece in report["pieces"]
+    ] == [True] * 3
+    assert {"slips", "holds", "forbidden", "insertions", "dropped", "limits", "causes"} <= set(
+        report["judgement"]
+    )
+    assert (
+        len(report["judgement"]["slips"]) >= len(report["judgement"]["insertions"]) == 3
+    )  # a piece may be gripped twice
     assert 10.0 < report["makespan_s"] < 90.0
     planned = report["planned_s"]
     assert planned["together"] < planned["one at a time"] <= planned["as scheduled"]
@@ -99,7 +112,9 @@ def test_grips_do_not_slip_and_holds_do_not_drift(built: Run) -> None:
     assert max(hold.seconds for hold in judgement.holds if hold.piece == "Z") > 1.0
     for hold in judgement.holds:
         assert hold.drift_mm < 1.0 and hold.grip_n > 10.0
-    assert all(insertion.peak_n < 10.0 and insertion.outcome != "jammed" for insertion in judgement.insertions)
+    assert all(
+        insertion.peak_n < 10.0 and insertion.outcome != "jammed" for insertion in judgement.insertions
+    )
 
 
 def test_limits_are_kept(built: Run) -> None:
@@ -109,7 +124,9 @@ def test_limits_are_kept(built: Run) -> None:
 
 def test_only_gears_were_in_the_world(built: Run) -> None:
     arms = load_cell("ur5e_pair").arms
-    assert sorted(built.log.constraints) == sorted(f"gear: {a} - {b}" for a, b in (arm.finger_joints for arm in arms))
+    assert sorted(built.log.constraints) == sorted(
+        f"gear: {a} - {b}" for a, b in (arm.finger_joints for arm in arms)
+    )
 
 
 def test_pieces_moved_only_as_fast_as_hands(built: Run) -> None:
@@ -129,35 +146,45 @@ def test_the_last_two_seconds_are_rest(built: Run) -> None:
     log = built.log
     last = log.between(log.times[-1] - 1.0, log.times[-1])
     assert np.abs(np.diff(log.poses[last, :, :3], axis=0)).max() < 1e-5
-    assert log.segments[-1].kind == "final" and log.segments[-1].end - log.segments[-1].start == pytest.approx(2.0, abs=0.01)
+    assert log.segments[-1].kind == "final" and log.segments[-1].end - log.segments[
+        -1
+    ].start == pytest.approx(2.0, abs=0.01)
     assert log.grips[last].max() == 0.0
 
 
-# --- again, from files -------------------------------------------------------------------------------------------------
+# --- again, from files --------------------------------------------------------------------------------------
 
 
-def test_a_log_is_judged_again_to_the_same_numbers(built: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_log_is_judged_again_to_the_same_numbers(
+    built: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import soma_bullet.episode as episode
 
-    for name in ("kept_plan", "make_program", "World", "Workcell"):
+    for name in ("kept_plan", "make_program", "BulletSimulator", "Workcell"):
         monkeypatch.setattr(episode, name, lambda *_, **__: pytest.fail("it planned or simulated"))
     again = run_episode("soma3", EpisodeOptions(seed=0), tmp_path, built.folder / "log.npz")
     assert again is not None
     assert to_tree(again.judgement) == to_tree(built.report.judgement)
-    assert (again.pieces, again.makespan_s, again.order) == (built.report.pieces, built.report.makespan_s, built.report.order)
+    assert (again.pieces, again.makespan_s, again.order) == (
+        built.report.pieces,
+        built.report.makespan_s,
+        built.report.order,
+    )
     assert "execution" not in again.wall_s
 
 
 def test_a_log_is_judged_by_another_tolerance(built: Run) -> None:
-    from soma_bullet.sim.judge import Tolerance
+    from soma_bullet.judge.judge import Tolerance
 
-    again = run_episode("soma3", EpisodeOptions(tolerance=Tolerance(1e-6, 1e-6)), None, built.folder / "log.npz")
+    again = run_episode(
+        "soma3", EpisodeOptions(tolerance=Tolerance(1e-6, 1e-6)), None, built.folder / "log.npz"
+    )
     assert again is not None and not again.success
     assert len([cause for cause in again.judgement.causes if "from its goal" in cause]) == 3
     assert [piece.error_mm for piece in again.pieces] == [piece.error_mm for piece in built.report.pieces]
 
 
-# --- the hold matters --------------------------------------------------------------------------------------------------
+# --- the hold matters ---------------------------------------------------------------------------------------
 
 
 def test_without_the_hold_it_collapses(built: Run, ablated: Run) -> None:
@@ -189,7 +216,9 @@ def test_better_orders_are_searched_again_before_far_worse_ones(
 ) -> None:
     plans = [SimpleNamespace(order=(str(k),), score=score, options=None) for k, score in enumerate(scores)]
 
-    def next_best(assembly: object, hand: object, options: object, excluded: frozenset[tuple[str, ...]]) -> object:
+    def next_best(
+        assembly: object, hand: object, options: object, excluded: frozenset[tuple[str, ...]]
+    ) -> object:
         if len(excluded) == len(plans):
             raise NoSolutionError("plan", "no order is left")
         assert excluded == {plan.order for plan in plans[: len(excluded)]}

@@ -1,4 +1,5 @@
-"""Evaluations: the draws, the lines, who runs them, going on after an interruption, and the numbers in the end."""
+"""Evaluations: the draws, the lines, who runs them, going on after an interruption, and the numbers in the
+end."""
 
 from __future__ import annotations
 
@@ -19,6 +20,7 @@ import numpy as np
 import pytest
 import trimesh
 
+from soma_bullet.control.executive import ExecutionOptions
 from soma_bullet.episode import EpisodeOptions
 from soma_bullet.errors import InputError, NoSolutionError
 from soma_bullet.evaluation import evaluate as evaluating
@@ -40,8 +42,7 @@ from soma_bullet.evaluation.replay import replay
 from soma_bullet.evaluation.statistics import wilson
 from soma_bullet.evaluation.summary import summarise
 from soma_bullet.evaluation.workers import _inherited
-from soma_bullet.executive.executive import ExecutionOptions
-from soma_bullet.sim.judge import Tolerance
+from soma_bullet.judge.judge import Tolerance
 
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPT = ROOT / "scripts" / "evaluate.py"
@@ -49,7 +50,7 @@ SOMA3 = EvaluationOptions("soma3", 6)
 EVERYTHING = ("friction", "mass", "perception", "feed")
 
 
-# --- episodes that were never run; workers import them from here -------------------------------------------------------
+# --- episodes that were never run; workers import them from here --------------------------------------------
 
 
 def canned(seed: int, options: EvaluationOptions) -> Line:
@@ -58,14 +59,22 @@ def canned(seed: int, options: EvaluationOptions) -> Line:
     good = seed % 3 != 1
     numbers = np.random.default_rng(seed).random(4).round(4).tolist()
     return line | {
-        "success": good, "cause": "" if good else "jammed", "causes": [] if good else ["A jammed in place"],
+        "success": good,
+        "cause": "" if good else "jammed",
+        "causes": [] if good else ["A jammed in place"],
         "pieces": [{"name": "A", "error_mm": numbers[0], "error_deg": numbers[1]}],
-        "slips": [{"slip_mm": numbers[2], "slip_deg": 0.1}], "holds": [], "insertions": [{"peak_n": numbers[3]}],
-        "forbidden": [], "events": [{"time": 1.0, "kind": "jammed", "piece": "A", "text": ""}], "retries": 1,
-        "recoveries": int(seed == 0), "makespan_s": 20.0 + seed,
+        "slips": [{"slip_mm": numbers[2], "slip_deg": 0.1}],
+        "holds": [],
+        "insertions": [{"peak_n": numbers[3]}],
+        "forbidden": [],
+        "events": [{"time": 1.0, "kind": "jammed", "piece": "A", "text": ""}],
+        "retries": 1,
+        "recoveries": int(seed == 0),
+        "makespan_s": 20.0 + seed,
         "planned_s": {"together": 15.0 + seed, "one at a time": 20.0 + seed, "as scheduled": 30.0 + seed},
-        "log_sha256": f"{seed:064x}", "wall_s": {"execution": 1.0},
-    }  # fmt: skip
+        "log_sha256": f"{seed:064x}",
+        "wall_s": {"execution": 1.0},
+    }
 
 
 def fragile(seed: int, options: EvaluationOptions) -> Line:
@@ -97,7 +106,7 @@ def without_wall(tree: Any) -> Any:
     return {key: value for key, value in tree.items() if key != "wall_s"}
 
 
-# --- what varies -------------------------------------------------------------------------------------------------------
+# --- what varies --------------------------------------------------------------------------------------------
 
 
 def test_draws_depend_on_the_seed_alone() -> None:
@@ -117,10 +126,20 @@ def test_draws_fill_their_spread() -> None:
 
 def test_what_varies_reaches_the_episode() -> None:
     varied = episode_options(5, replace(SOMA3, vary=EVERYTHING, spread=Spread(mm=0.7, deg=0.3)))
-    assert (varied.feed.layout, varied.feed.poses, varied.feed.noise_mm, varied.feed.noise_deg) == ("random", "all", 0.7, 0.3)
+    assert (varied.feed.layout, varied.feed.poses, varied.feed.noise_mm, varied.feed.noise_deg) == (
+        "random",
+        "all",
+        0.7,
+        0.3,
+    )
     assert varied.physics.friction != 1.0 != varied.physics.mass and varied.seed == 5
     plain = episode_options(5, replace(SOMA3, vary=()))
-    assert (plain.feed.poses, plain.feed.noise_mm, plain.physics.friction, plain.physics.mass) == ("preferred", 0.0, 1.0, 1.0)
+    assert (plain.feed.poses, plain.feed.noise_mm, plain.physics.friction, plain.physics.mass) == (
+        "preferred",
+        0.0,
+        1.0,
+        1.0,
+    )
 
 
 def test_options_reach_the_episode_and_come_back_from_its_line() -> None:
@@ -129,8 +148,16 @@ def test_options_reach_the_episode_and_come_back_from_its_line() -> None:
         execution=ExecutionOptions(together=False, recover=False),
     )  # fmt: skip
     episode = episode_options(2, options)
-    assert (episode.planner.stability, episode.tolerance, episode.ablate) == ("paper", Tolerance(1.0, 3.0), "hold")
-    assert (episode.execution.together, episode.execution.compliant, episode.execution.recover) == (False, True, False)
+    assert (episode.planner.stability, episode.tolerance, episode.ablate) == (
+        "paper",
+        Tolerance(1.0, 3.0),
+        "hold",
+    )
+    assert (episode.execution.together, episode.execution.compliant, episode.execution.recover) == (
+        False,
+        True,
+        False,
+    )
     line = json.loads(json.dumps(canned(2, options)))
     assert options_of(line, "here") == episode
     assert {"cell", "hand", "seed", "ablate", *EPISODE_PARTS} == set(line["episode"])
@@ -139,7 +166,7 @@ def test_options_reach_the_episode_and_come_back_from_its_line() -> None:
         options_of(line, "here")
 
 
-# --- one line ----------------------------------------------------------------------------------------------------------
+# --- one line -----------------------------------------------------------------------------------------------
 
 
 def ends_with(monkeypatch: pytest.MonkeyPatch, error: Exception) -> Line:
@@ -151,8 +178,14 @@ def ends_with(monkeypatch: pytest.MonkeyPatch, error: Exception) -> Line:
 
 
 def test_an_episode_without_a_schedule_is_a_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    line = ends_with(monkeypatch, NoSolutionError("schedule", "none of 3 orders", Counter({"A: no grasp": 2})))
-    assert (line["success"], line["cause"], line["causes"]) == (False, "no schedule", ["none of 3 orders", "2 x A: no grasp"])
+    line = ends_with(
+        monkeypatch, NoSolutionError("schedule", "none of 3 orders", Counter({"A: no grasp": 2}))
+    )
+    assert (line["success"], line["cause"], line["causes"]) == (
+        False,
+        "no schedule",
+        ["none of 3 orders", "2 x A: no grasp"],
+    )
 
 
 def test_a_crash_is_a_line_that_says_where(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -194,17 +227,23 @@ def test_how_the_executive_ended_is_the_cause(ended: str, cause: str) -> None:
         ((), True, (), "limits"),
     ],
 )
-def test_otherwise_it_is_how_the_pieces_lie(dropped: tuple, in_place: bool, forbidden: tuple, cause: str) -> None:
-    verdict = SimpleNamespace(dropped=dropped, pieces=(SimpleNamespace(in_place=in_place),), forbidden=forbidden)
+def test_otherwise_it_is_how_the_pieces_lie(
+    dropped: tuple, in_place: bool, forbidden: tuple, cause: str
+) -> None:
+    verdict = SimpleNamespace(
+        dropped=dropped, pieces=(SimpleNamespace(in_place=in_place),), forbidden=forbidden
+    )
     assert categorise(verdict, "done") == cause  # type: ignore[arg-type]
 
 
-# --- who runs them -----------------------------------------------------------------------------------------------------
+# --- who runs them ------------------------------------------------------------------------------------------
 
 
 def test_lines_and_summary_do_not_depend_on_the_jobs(tmp_path: Path) -> None:
     seen: list[int] = []
-    one = evaluate(SOMA3, 1, tmp_path / "one", Watch(done=lambda line: seen.append(line["seed"])), episode=canned)
+    one = evaluate(
+        SOMA3, 1, tmp_path / "one", Watch(done=lambda line: seen.append(line["seed"])), episode=canned
+    )
     two = evaluate(SOMA3, 2, tmp_path / "two", episode=canned)
     assert one == two and sorted(seen) == list(SOMA3.seeds)
     for name in (LINES, SUMMARY):
@@ -219,7 +258,9 @@ def test_neither_an_exception_nor_a_dead_process_stops_the_run(tmp_path: Path) -
     assert [line["seed"] for line in lines] == list(SOMA3.seeds)
 
 
-def test_the_workers_have_one_thread_and_leave_the_environment_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_workers_have_one_thread_and_leave_the_environment_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "5")
     _, (line,) = evaluate(replace(SOMA3, episodes=1), 1, tmp_path, episode=threads)
     assert line["threads"] == "1" and os.environ["OMP_NUM_THREADS"] == "5"
@@ -233,7 +274,9 @@ def threads(seed: int, options: EvaluationOptions) -> Line:
 @pytest.mark.slow
 def test_ray_makes_the_same_lines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("ray", reason="ray is an extra: pip install soma_bullet[ray]")
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))  # its workers import the canned episodes from here
+    monkeypatch.setenv(
+        "PYTHONPATH", str(Path(__file__).parent)
+    )  # its workers import the canned episodes from here
     monkeypatch.delenv("RAY_ADDRESS", raising=False)
     ours = evaluate(SOMA3, 2, tmp_path / "processes", episode=fragile)
     rays = evaluate(SOMA3, 2, tmp_path / "ray", backend="ray", episode=fragile)
@@ -249,7 +292,7 @@ def test_without_ray_one_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert not (tmp_path / "out").exists()
 
 
-# --- going on ----------------------------------------------------------------------------------------------------------
+# --- going on -----------------------------------------------------------------------------------------------
 
 
 def test_a_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
@@ -260,7 +303,9 @@ def test_a_run_goes_on_where_it_stopped(tmp_path: Path) -> None:
     file.write_text(file.read_text() + file.read_text().splitlines()[0][:200])  # cut off while it was written
     found: list[int] = []
     new: list[int] = []
-    watch = Watch(lambda lines: found.extend(line["seed"] for line in lines), lambda line: new.append(line["seed"]))
+    watch = Watch(
+        lambda lines: found.extend(line["seed"] for line in lines), lambda line: new.append(line["seed"])
+    )
     assert evaluate(SOMA3, 1, tmp_path / "parts", watch, episode=canned) == whole
     assert found == [0, 1, 2] and sorted(new) == [3, 4, 5]
     assert file.read_bytes() == (tmp_path / "whole" / LINES).read_bytes()
@@ -295,7 +340,10 @@ def test_another_evaluation_in_the_same_folder_is_refused(changed: dict, said: s
 def test_a_spread_that_does_not_vary_does_not_matter(tmp_path: Path) -> None:
     leave(replace(SOMA3, episodes=1), tmp_path)
     evaluate(replace(SOMA3, episodes=1, spread=Spread(mass=0.1)), 1, tmp_path, episode=canned)
-    assert replace(SOMA3, vary=("feed", "mass")).conditions() == replace(SOMA3, vary=("mass", "feed")).conditions()
+    assert (
+        replace(SOMA3, vary=("feed", "mass")).conditions()
+        == replace(SOMA3, vary=("mass", "feed")).conditions()
+    )
 
 
 def test_lines_of_another_version_are_refused(tmp_path: Path) -> None:
@@ -327,7 +375,17 @@ def test_two_evaluations_do_not_write_into_one_folder(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_an_interrupted_run_keeps_what_is_done_and_goes_on(tmp_path: Path) -> None:
     """Ctrl-C goes to the whole process group, as a terminal sends it."""
-    command = [sys.executable, str(SCRIPT), "soma3", "--episodes", "6", "--jobs", "2", "--out", str(tmp_path / "out")]
+    command = [
+        sys.executable,
+        str(SCRIPT),
+        "soma3",
+        "--episodes",
+        "6",
+        "--jobs",
+        "2",
+        "--out",
+        str(tmp_path / "out"),
+    ]
     patched = f"""
 import sys
 sys.path[:0] = [{str(Path(__file__).parent)!r}, {str(SCRIPT.parent)!r}]
@@ -340,7 +398,10 @@ if __name__ == "__main__":
 """
     (tmp_path / "patched.py").write_text(patched)
     process = subprocess.Popen(
-        [sys.executable, str(tmp_path / "patched.py"), *command[2:]], stderr=subprocess.PIPE, text=True, start_new_session=True
+        [sys.executable, str(tmp_path / "patched.py"), *command[2:]],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
     )
     file = tmp_path / "out" / LINES
     deadline = time.monotonic() + 120
@@ -353,7 +414,9 @@ if __name__ == "__main__":
     assert [line["seed"] for line in read_lines(file)] == [0, 1, 2]
     assert {path.name for path in (tmp_path / "out").iterdir()} == {LINES}
     leave(SOMA3, tmp_path / "whole")
-    assert evaluate(SOMA3, 1, tmp_path / "out", episode=canned) == evaluate(SOMA3, 1, tmp_path / "whole", episode=canned)
+    assert evaluate(SOMA3, 1, tmp_path / "out", episode=canned) == evaluate(
+        SOMA3, 1, tmp_path / "whole", episode=canned
+    )
 
 
 def masked(seed: int, options: EvaluationOptions) -> Line:
@@ -369,7 +432,9 @@ import test_evaluation as t
 from soma_bullet.evaluation.workers import in_processes
 print([line["blocked"] for line in in_processes([0, 1], t.SOMA3, 2, t.masked)])
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True
+    )
     assert done.stdout.strip() == "[True, True]"
 
 
@@ -381,14 +446,16 @@ def test_an_interrupt_while_a_worker_starts_is_not_lost() -> None:
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
 
 
-# --- the summary -------------------------------------------------------------------------------------------------------
+# --- the summary --------------------------------------------------------------------------------------------
 
 
 def test_the_interval_is_wilsons() -> None:
     n, k, z = 20, 17, 1.959964
     p = k / n
     middle, half = (p + z**2 / (2 * n)), z * np.sqrt(p * (1 - p) / n + z**2 / (4 * n**2))
-    assert np.allclose(wilson(k, n), [(middle - half) / (1 + z**2 / n), (middle + half) / (1 + z**2 / n)], atol=1e-4)
+    assert np.allclose(
+        wilson(k, n), [(middle - half) / (1 + z**2 / n), (middle + half) / (1 + z**2 / n)], atol=1e-4
+    )
     assert wilson(5, 5)[1] == 1.0 and wilson(0, 5)[0] == 0.0
 
 
@@ -397,7 +464,10 @@ def test_the_summary_counts() -> None:
     lines.append(crashed_line(6, SOMA3, "why"))
     summary = summarise(lines)
     assert (summary["episodes"], summary["successes"]) == (7, 4)
-    assert summary["causes"] == {"jammed": 2, "crash": 1} and summary["failed_seeds"] == {"crash": [6], "jammed": [1, 4]}
+    assert summary["causes"] == {"jammed": 2, "crash": 1} and summary["failed_seeds"] == {
+        "crash": [6],
+        "jammed": [1, 4],
+    }
     assert (summary["recoveries"], summary["retries"], summary["recovered_episodes"]) == (1, 6, 4)
     errors = [line["pieces"][0]["error_mm"] for line in lines[:6]]
     assert summary["executed"]["error_mm"] == pytest.approx(
@@ -419,10 +489,14 @@ def test_the_summary_counts() -> None:
 
 def test_a_summary_of_crashes_alone() -> None:
     summary = summarise([crashed_line(0, SOMA3, "why")])
-    assert summary["success_rate"] == 0.0 and summary["wall_s"] == {} and summary["executed"]["error_mm"] == {"count": 0}
+    assert (
+        summary["success_rate"] == 0.0
+        and summary["wall_s"] == {}
+        and summary["executed"]["error_mm"] == {"count": 0}
+    )
 
 
-# --- the command -------------------------------------------------------------------------------------------------------
+# --- the command --------------------------------------------------------------------------------------------
 
 
 @pytest.fixture
@@ -472,7 +546,11 @@ def test_a_whole_command(
     monkeypatch.setattr(evaluating, "evaluate", run)
     assert script.main(["soma3", "--episodes", "6", "--jobs", "1", "--out", str(tmp_path)]) == 0
     written = capsys.readouterr()
-    assert "4 of 6 succeeded, 67%" in written.out and "error of a piece [mm]" in written.out and "seeds 1, 4" in written.out
+    assert (
+        "4 of 6 succeeded, 67%" in written.out
+        and "error of a piece [mm]" in written.out
+        and "seeds 1, 4" in written.out
+    )
     assert "seed 1: jammed: A jammed in place" in written.err and "6/6" in written.err
     assert {path.name for path in tmp_path.iterdir()} == {LINES, SUMMARY, "summary.png"}
     summary = json.loads((tmp_path / SUMMARY).read_text())
@@ -481,14 +559,20 @@ def test_a_whole_command(
     assert image.startswith(b"\x89PNG") and len(image) > 20_000
 
 
-# --- in physics --------------------------------------------------------------------------------------------------------
+# --- in physics ---------------------------------------------------------------------------------------------
 
 
 def write_two_blocks(folder: Path) -> str:
     """The file of two blocks, one on the other."""
     trimesh.creation.box((0.03, 0.03, 0.03)).export(folder / "block.stl")
-    piece = '[[piece]]\nname = "{}"\nmesh = "block.stl"\ngoal = {{ position = [0, 0, {}], rpy_deg = [0, 0, 0] }}\n'
-    head = 'name = "two"\nunit = "m"\n[support]\nheight = 0.0\nfriction = 0.5\n[defaults]\ndensity = 700.0\nfriction = 0.5\n'
+    piece = (
+        '[[piece]]\nname = "{}"\nmesh = "block.stl"\ngoal = '
+        "{{ position = [0, 0, {}], rpy_deg = [0, 0, 0] }}\n"
+    )
+    head = (
+        'name = "two"\nunit = "m"\n[support]\nheight = 0.0\nfriction = 0.5\n[defaults]\ndensity = 700.0\n'
+        "friction = 0.5\n"
+    )
     (folder / "two.toml").write_text(head + piece.format("lower", 0.015) + piece.format("upper", 0.045))
     return str(folder / "two.toml")
 

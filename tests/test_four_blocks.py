@@ -1,4 +1,5 @@
-"""Four blocks in physics: a hold that goes on while another arm inserts, and pieces that slide in along a diagonal."""
+"""Four blocks in physics: a hold that goes on while another arm inserts, and pieces that slide in along a
+diagonal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Rules of the house that no single module can keep: what imports what, what ships, what the simulator may touch."""
+"""Rules of the house that no single module can keep: what imports what, what ships, what the simulator may
+touch."""
 
 from __future__ import annotations
 
@@ -21,31 +22,42 @@ SCRIPTS = sorted((ROOT / "scripts").glob("*.py"))
 DATA = ("meshes", "robots")  # folders of the top level that install as packages
 LARGEST_FILE = 2_000_000  # [bytes]
 SLOWEST_HELP = 5.0  # [s]; half a second is meant, and a busy machine is not to fail it
-# a body may be put somewhere before time starts, by the module that lays out the world, and in pictures, which have no time
+# a body may be put somewhere before time starts, by the module that lays out the world, and in pictures,
+# which have no time
 PLACING = {
-    Path("soma_bullet/sim/stage.py"),
-    Path("soma_bullet/sim/studio.py"),
-    Path("soma_bullet/sim/sight.py"),
-    Path("soma_bullet/sim/look.py"),
+    Path("soma_bullet/bullet/stage.py"),
+    Path("soma_bullet/pictures/studio.py"),
+    Path("soma_bullet/pictures/sight.py"),
+    Path("soma_bullet/pictures/look.py"),
 }
-TELEPORTS = {"resetBasePositionAndOrientation", "resetBaseVelocity", "resetJointState", "resetJointStatesMultiDof"}
+TELEPORTS = {
+    "resetBasePositionAndOrientation",
+    "resetBaseVelocity",
+    "resetJointState",
+    "resetJointStatesMultiDof",
+}
 
 
 def python(*arguments: str, folder: Path = ROOT, path: Path = ROOT) -> subprocess.CompletedProcess[str]:
     """Run the interpreter of the tests in `folder`, with `path` to import from."""
     environment = os.environ | {"PYTHONPATH": str(path)}
     command = [sys.executable, *arguments]
-    return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=120, check=False
+    )
 
 
 def tracked_files() -> list[Path]:
-    """The files of the repository, the new ones included; in an unpacked archive, all that no rule ignores by its folder."""
+    """The files of the repository, the new ones included; in an unpacked archive, all that no rule ignores by
+    its folder."""
     listing = ["git", "ls-files", "--cached", "--others", "--exclude-standard"]
     listed = subprocess.run(listing, cwd=ROOT, capture_output=True, text=True, check=False)
     if listed.returncode == 0:
         return [path for path in (ROOT / line for line in listed.stdout.splitlines()) if path.is_file()]
     hidden = {".git", ".venv", ".cache", "runs", "build", "dist"}
-    return [path for path in ROOT.rglob("*") if path.is_file() and not hidden & set(path.relative_to(ROOT).parts)]
+    return [
+        path for path in ROOT.rglob("*") if path.is_file() and not hidden & set(path.relative_to(ROOT).parts)
+    ]
 
 
 def calls(path: Path) -> Iterator[tuple[str, ast.Call]]:
@@ -73,16 +85,26 @@ def test_imports_go_one_way() -> None:
     assert result.returncode == 0, result.stdout + result.stderr
 
 
-def test_pybullet_is_used_in_sim_alone() -> None:
-    users = {path.relative_to(PACKAGE).parts[0] for path in MODULES if {"pybullet", "pybullet_data"} & imports(path)}
-    assert users <= {"sim"}
+def test_pybullet_is_used_in_one_folder_alone() -> None:
+    users = {
+        path.relative_to(PACKAGE).parts[0]
+        for path in MODULES
+        if {"pybullet", "pybullet_data"} & imports(path)
+    }
+    assert users <= {"bullet"}
 
 
 @pytest.mark.parametrize("layer", ["assembly", "planner", "task", "motion"])
 def test_planning_runs_without_the_simulator(layer: str) -> None:
     """Import all modules of a layer, and see that nothing brought the simulator in by another way."""
-    names = [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in sorted((PACKAGE / layer).glob("[!_]*.py"))]
-    code = f"import importlib, sys; [importlib.import_module(name) for name in {names}]; print('pybullet' in sys.modules)"
+    names = [
+        ".".join(path.relative_to(ROOT).with_suffix("").parts)
+        for path in sorted((PACKAGE / layer).glob("[!_]*.py"))
+    ]
+    code = (
+        f"import importlib, sys; [importlib.import_module(name) for name in {names}]; print('pybullet' in "
+        f"sys.modules)"
+    )
     result = python("-c", code)
     assert result.returncode == 0, result.stderr
     assert result.stdout.splitlines()[-1] == "False"
@@ -109,7 +131,7 @@ def test_only_gears_between_fingers_are_constraints() -> None:
         for name, call in calls(path):
             if name == "createConstraint":
                 where = f"{path.relative_to(ROOT)}:{call.lineno}"
-                assert path.is_relative_to(PACKAGE / "sim"), where
+                assert path.is_relative_to(PACKAGE / "bullet"), where
                 assert "JOINT_GEAR" in ast.unparse(call), where
 
 
@@ -119,13 +141,19 @@ def test_nothing_is_teleported_once_time_runs() -> None:
         if path.relative_to(ROOT) not in PLACING:
             assert not made & TELEPORTS, path
         if made & TELEPORTS and "stepSimulation" in made:
-            pytest.fail(f"{path.relative_to(ROOT)} both places bodies and lets time run; keep the two in modules of their own")
+            pytest.fail(
+                f"{path.relative_to(ROOT)} both places bodies and lets time run; keep the two in modules "
+                f"of their own"
+            )
 
 
 def test_the_package_says_no_address_of_a_registry() -> None:
     hosts = ("pypi.", "pythonhosted.", "deb.debian", "registry.npm")
     for path in tracked_files():
-        if path.suffix in {".py", ".cfg", ".toml", ".md", ".in", ".txt", ""} and path != Path(__file__).resolve():
+        if (
+            path.suffix in {".py", ".cfg", ".toml", ".md", ".in", ".txt", ""}
+            and path != Path(__file__).resolve()
+        ):
             text = path.read_text(encoding="utf-8", errors="ignore")
             assert not [host for host in hosts if host in text], path
 
@@ -150,17 +178,27 @@ def test_a_wheel_holds_all_data_and_works_outside_the_checkout(tmp_path: Path) -
     for path in files:
         (checkout / path).parent.mkdir(parents=True, exist_ok=True)
         (checkout / path).write_bytes((ROOT / path).read_bytes())
-    built = python("-c", f"from setuptools import build_meta as b; b.build_wheel({str(tmp_path)!r})", folder=checkout)
+    built = python(
+        "-c", f"from setuptools import build_meta as b; b.build_wheel({str(tmp_path)!r})", folder=checkout
+    )
     assert built.returncode == 0, built.stderr
     (wheel,) = tmp_path.glob("*.whl")
     with zipfile.ZipFile(wheel) as archive:
         held = set(archive.namelist())
         archive.extractall(site)
-    expected = {path if path.parts[0] == "soma_bullet" else Path("soma_bullet", path) for path in files if len(path.parts) > 1}
+    expected = {
+        path if path.parts[0] == "soma_bullet" else Path("soma_bullet", path)
+        for path in files
+        if len(path.parts) > 1
+    }
     assert {path.as_posix() for path in expected} - held == set()
     code = (
         "from soma_bullet.assembly import file; from soma_bullet.robot.cell import load_cell; "
         "print(file.__file__, file.load_assembly('soma3').name, load_cell('ur5e_pair').name)"
     )
     used = python("-c", code, folder=tmp_path, path=site)
-    assert used.stdout.split() == [str(site / "soma_bullet" / "assembly" / "file.py"), "soma3", "ur5e_pair"], used.stderr
+    assert used.stdout.split() == [
+        str(site / "soma_bullet" / "assembly" / "file.py"),
+        "soma3",
+        "ur5e_pair",
+    ], used.stderr

@@ -1,4 +1,5 @@
-"""The planner's command line: everything in one run, refusals that cost nothing, reasons where no plan exists."""
+"""The planner's command line: everything in one run, refusals that cost nothing, reasons where no plan
+exists."""
 
 from __future__ import annotations
 
@@ -31,7 +32,18 @@ def said(capsys: Captured) -> str:
 
 
 def test_one_run_plans_explains_draws_and_writes(capsys: Captured) -> None:
-    arguments = ["soma3", "--stability", "paper", "--top", "2", "--explain", "--figure", "orders.svg", "--rows", "2"]
+    arguments = [
+        "soma3",
+        "--stability",
+        "paper",
+        "--top",
+        "2",
+        "--explain",
+        "--figure",
+        "orders.svg",
+        "--rows",
+        "2",
+    ]
     assert plan([*arguments, "--exploded", "exploded.png", "--out", "plan.json"]) == 0
     text = said(capsys)
     assert "chosen Z <- BigL <- smallL, score 351" in text
@@ -64,12 +76,18 @@ def test_no_plan_says_why_and_writes_nothing(capsys: Captured) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["soma3", "--hands", "0", "--top", "0"], r"2 faults - --hands 0: must be at least 1 - --top 0: must be at least 1"),
+        (
+            ["soma3", "--hands", "0", "--top", "0"],
+            r"2 faults - --hands 0: must be at least 1 - --top 0: must be at least 1",
+        ),
         (["soma3", "--figure", "orders.jpg"], r"--figure orders.jpg: must end in .png or .svg or .pdf"),
         (["soma3", "--out", "none/plan.json"], r"--out none/plan.json: there is no folder"),
         (["soma3", "--out", "plan.txt"], r"--out plan.txt: must end in .json"),
         (["soma3", "--push", "nan"], r"--push nan: must not be negative"),
-        (["soma3", "--stability", "papr"], r"--stability: 'papr' is not known; there are equilibrium, paper, and your own"),
+        (
+            ["soma3", "--stability", "papr"],
+            r"--stability: 'papr' is not known; there are equilibrium, paper, and your own",
+        ),
         (["soma3", "--analyzer", "no_such_module:reach"], r"module 'no_such_module' cannot be imported"),
         (["soma3", "--analyzer", "json:reach"], r"module 'json' has no 'reach'"),
         (["soma3", "--analyzer", "json:__doc__"], r"'json:__doc__' is no function"),
@@ -91,7 +109,9 @@ def low(qualities, placed, piece):
     """Pieces that end up high are hard to reach."""
     height = float(qualities.assembly.goal_centres[piece][2])
     late = qualities.assembly.names[piece] == "BigL" and len(placed) == 1
-    return Judgement(0.0, f"BigL must not be second, its goal is {height:.3f} m up") if late else Judgement(2.0)
+    if late:
+        return Judgement(0.0, f"BigL must not be second, its goal is {height:.3f} m up")
+    return Judgement(2.0)
 
 def doubtful(qualities, placed, held):
     """Half of what equilibrium says."""
@@ -106,7 +126,13 @@ def test_analyzers_of_ones_own_plug_in_by_name(tmp_path: Path) -> None:
     options = ["--analyzer", "mine:low", "--stability", "mine:doubtful"]
     environment = {"PYTHONPATH": f"{tmp_path}:{ROOT}", "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}
     run = subprocess.run(
-        [*command, *options], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120, check=False
+        [*command, *options],
+        cwd=tmp_path,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
     )
     assert run.returncode == 0, run.stderr
     text = re.sub(r"[\s│├└─]+", " ", run.stderr)

@@ -12,7 +12,15 @@ import pytest
 
 from soma_bullet.errors import InputError
 from soma_bullet.frames import Array, readonly
-from soma_bullet.records import VERSIONED, package_versions, read_json, read_npz, to_tree, write_json, write_npz
+from soma_bullet.records import (
+    VERSIONED,
+    package_versions,
+    read_json,
+    read_npz,
+    to_tree,
+    write_json,
+    write_npz,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +45,9 @@ def tree() -> Tree:
 
 
 def same(a: Tree, b: Tree) -> bool:
-    arrays = all(np.array_equal(p.array, q.array) for p, q in zip(a.leaves, b.leaves, strict=True) if p.array.size)
+    arrays = all(
+        np.array_equal(p.array, q.array) for p, q in zip(a.leaves, b.leaves, strict=True) if p.array.size
+    )
     return arrays and [(p.name, p.pair) for p in a.leaves] == [(p.name, p.pair) for p in b.leaves] and (
         (a.value, a.count, a.held) == (b.value, b.count, b.held)
     )  # fmt: skip
@@ -51,7 +61,11 @@ def test_round_trip(tmp_path: Path, write: object, read: object) -> None:
     assert same(again, tree())
     assert not again.leaves[0].array.flags.writeable
     write(again, tmp_path / "three")  # type: ignore[operator]
-    assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes() == (tmp_path / "three").read_bytes()
+    assert (
+        (tmp_path / "one").read_bytes()
+        == (tmp_path / "two").read_bytes()
+        == (tmp_path / "three").read_bytes()
+    )
 
 
 def test_npz_keeps_the_shape_of_empty_arrays(tmp_path: Path) -> None:
@@ -83,7 +97,10 @@ def test_no_half_files(tmp_path: Path) -> None:
         ("{", "cannot be read as JSON"),
         ("[]", "not a schema-1 file"),
         ('{"schema": 2}', "not a schema-1 file"),
-        ('{"schema": 1, "leaves": [], "value": 1, "count": {}, "held": [], "more": 1}', "is not a Tree.*more"),
+        (
+            '{"schema": 1, "leaves": [], "value": 1, "count": {}, "held": [], "more": 1}',
+            "is not a Tree.*more",
+        ),
         ('{"schema": 1, "leaves": [], "value": "x", "count": {}, "held": []}', "is not a Tree.*value"),
         ('{"schema": 1, "leaves": []}', "is not a Tree"),
     ],

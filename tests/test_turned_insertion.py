@@ -1,4 +1,5 @@
-"""A bar in a slot, which comes turned: it bounces on the rim, finds the slot by searching, and yields to the walls."""
+"""A bar in a slot, which comes turned: it bounces on the rim, finds the slot by searching, and yields to the
+walls."""
 
 from __future__ import annotations
 
@@ -7,10 +8,10 @@ from pathlib import Path
 import pytest
 import trimesh
 
+from soma_bullet.control.executive import ExecutionOptions
 from soma_bullet.evaluation.line import run_line
 from soma_bullet.evaluation.options import EvaluationOptions, Spread
-from soma_bullet.executive.executive import ExecutionOptions
-from soma_bullet.sim.judge import Tolerance
+from soma_bullet.judge.judge import Tolerance
 
 SEED = 402  # bar and slot end 2 deg apart, where 1.1 would fit
 LENGTH, WIDTH, DEPTH = 60.0, 14.0, 18.0  # [mm] of the slot
@@ -40,11 +41,17 @@ piece = [
 @pytest.mark.slow
 @pytest.mark.parametrize("compliant", (True, False))
 def test_a_bar_that_comes_turned_goes_in_by_search_and_torque(tmp_path: Path, compliant: bool) -> None:
-    """Without compliance it stops on the rim, whatever the friction; what a search needs is tested with the guide."""
+    """Without compliance it stops on the rim, whatever the friction; what a search needs is tested with the
+    guide."""
     options = EvaluationOptions(
-        write_bar_and_slot(tmp_path), 1, SEED, ("perception",), Spread(mm=0.3, deg=2.0, errors="uniform", square=False),
-        execution=ExecutionOptions(recover=False, compliant=compliant), tolerance=Tolerance(deg=2.5),
-    )  # fmt: skip
+        write_bar_and_slot(tmp_path),
+        1,
+        SEED,
+        ("perception",),
+        Spread(mm=0.3, deg=2.0, errors="uniform", square=False),
+        execution=ExecutionOptions(recover=False, compliant=compliant),
+        tolerance=Tolerance(deg=2.5),
+    )
     line = run_line(SEED, options)
     assert line["success"] is compliant, line["causes"]
     assert compliant or line["cause"] == "jammed"

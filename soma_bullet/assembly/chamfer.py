@@ -1,10 +1,11 @@
-"""Chamfers: the outer edges of a real body cut off at equal distances from the edge along both faces (45 deg at a right angle).
+"""Chamfers: the outer edges of a real body cut off at equal distances from the edge along both faces (45 deg
+at a right angle).
 
-A body of maximal boxes is the union of its boxes with all their edges cut: an edge of one box that is no edge of the body lies
-inside another box. Only a dent of the chamfer's size remains at the ends of inner corners. Of other bodies those edges of the
-parts are cut whose faces both bound the body, that turn by SHARP at least, and beside which no other part goes on; an edge that
-is one of the body's over a part of its length only stays as it is.
-"""
+A body of maximal boxes is the union of its boxes with all their edges cut: an edge of one box that is no edge
+of the body lies inside another box. Only a dent of the chamfer's size remains at the ends of inner corners.
+Of other bodies those edges of the parts are cut whose faces both bound the body, that turn by SHARP at least,
+and beside which no other part goes on; an edge that is one of the body's over a part of its length only stays
+as it is."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ SAMPLES = np.linspace(0.05, 0.95, 10)  # along an edge
 
 
 def edge_cuts(decomposition: Decomposition, clearance: float, chamfer: float) -> tuple[Array, ...]:
-    """Half-spaces (k, 4) normal . x + offset <= 0 that cut the edges of each part, its faces `clearance` [m] further in."""
+    """Half-spaces (k, 4) normal . x + offset <= 0 that cut the edges of each part, its faces `clearance` [m]
+    further in."""
     parts, cuts = decomposition.parts, []
     for k, (part, solid) in enumerate(zip(parts, decomposition.solid_faces, strict=True)):
         others = () if decomposition.kind == "boxes" else parts[:k] + parts[k + 1 :]
@@ -33,10 +35,14 @@ def edge_cuts(decomposition: Decomposition, clearance: float, chamfer: float) ->
 
 
 def chamfered(decomposition: Decomposition, clearance: float, chamfer: float) -> tuple[Hull, ...]:
-    """The parts of a body with every face moved inwards by `clearance` [m] and the outer edges cut by `chamfer` [m]."""
+    """The parts of a body with every face moved inwards by `clearance` [m] and the outer edges cut by
+    `chamfer` [m]."""
     found = []
     for part, faces, cuts in zip(
-        decomposition.parts, decomposition.solid_faces, edge_cuts(decomposition, clearance, chamfer), strict=True
+        decomposition.parts,
+        decomposition.solid_faces,
+        edge_cuts(decomposition, clearance, chamfer),
+        strict=True,
     ):
         try:
             found.append(part.inset(clearance, faces).cut(cuts))
@@ -58,7 +64,9 @@ def _edges(part: Hull, solid: Indices, others: tuple[Hull, ...]) -> list[tuple[i
         line = ends[0] + SAMPLES[:, None] * far
         outward = (part.normals[i], part.normals[j], part.normals[i] + part.normals[j])
         beside = np.vstack([line + BESIDE * step for step in outward])
-        if not any((other.normals @ beside.T < other.offsets[:, None] + ON).all(axis=0).any() for other in others):
+        if not any(
+            (other.normals @ beside.T < other.offsets[:, None] + ON).all(axis=0).any() for other in others
+        ):
             found.append((i, j))
     return found
 

@@ -30,7 +30,8 @@ def piece_faults(piece: Workpiece) -> Iterator[str]:
     if not SMALLEST <= extents.max() <= LARGEST:
         size = " x ".join(f"{extent * 1e3:.4g}" for extent in extents)
         yield (
-            f"{where}: its size is {size} mm, and pieces between {SMALLEST * 1e3:g} mm and {LARGEST * 1e3:g} mm are expected; "
+            f"{where}: its size is {size} mm, and pieces between {SMALLEST * 1e3:g} mm and "
+            f"{LARGEST * 1e3:g} mm are expected; "
             "is unit, or mesh_unit, right?"
         )
         return
@@ -39,22 +40,28 @@ def piece_faults(piece: Workpiece) -> Iterator[str]:
     except NotDecomposableError as error:
         yield f"{where}: {error}"
         return
-    thinnest = min(_thickness(part, faces) for part, faces in zip(decomposition.parts, decomposition.solid_faces, strict=True))
+    thinnest = min(
+        _thickness(part, faces)
+        for part, faces in zip(decomposition.parts, decomposition.solid_faces, strict=True)
+    )
     if piece.clearance >= LARGEST_CLEARANCE * thinnest:
         yield (
-            f"{where}: clearance {piece.clearance * 1e3:g} mm eats a part that is {thinnest * 1e3:.4g} mm thin; "
+            f"{where}: clearance {piece.clearance * 1e3:g} mm eats a part that is {thinnest * 1e3:.4g} mm "
+            f"thin; "
             f"it must be below {LARGEST_CLEARANCE * thinnest * 1e3:.4g} mm"
         )
     elif 2 * piece.chamfer >= thinnest - 2 * piece.clearance:
         half = thinnest / 2 - piece.clearance
         yield (
-            f"{where}: chamfer {piece.chamfer * 1e3:g} mm leaves nothing of a face of a part that is {thinnest * 1e3:.4g} mm "
+            f"{where}: chamfer {piece.chamfer * 1e3:g} mm leaves nothing of a face of a part that is "
+            f"{thinnest * 1e3:.4g} mm "
             f"thin; it must be below {half * 1e3:.4g} mm"
         )
 
 
 def _thickness(part: Hull, faces: Indices) -> float:
-    """Smallest distance [m] between two opposite faces of a part that both bound the piece; a cut inside it does not move."""
+    """Smallest distance [m] between two opposite faces of a part that both bound the piece; a cut inside it
+    does not move."""
     if len(faces) == len(part.normals):
         return float(np.ptp(part.vertices @ part.axes.T, axis=0).min())
     normals, offsets = part.normals[faces], part.offsets[faces]
@@ -63,7 +70,8 @@ def _thickness(part: Hull, faces: Indices) -> float:
 
 
 def goal_faults(assembly: Assembly, whole: bool) -> list[str]:
-    """Faults of the goals: overlaps and goals below the support; where the assembly is whole, also what floats."""
+    """Faults of the goals: overlaps and goals below the support; where the assembly is whole, also what
+    floats."""
     bodies = [_manifold(assembly, piece) for piece in range(len(assembly.pieces))]
     faults = [*_overlaps(assembly, bodies), *_sunk(assembly)]
     return faults or ([*_floating(assembly, bodies)] if whole else [])
@@ -79,17 +87,21 @@ def _overlaps(assembly: Assembly, bodies: list[manifold3d.Manifold]) -> Iterator
     for (a, body_a), (b, body_b) in combinations(enumerate(bodies), 2):
         shared = body_a ^ body_b
         smaller = min(body_a.volume(), body_b.volume())
-        if shared.volume() > LARGEST_OVERLAP * smaller + _tessellation(assembly.pieces[a], assembly.pieces[b]):
+        if shared.volume() > LARGEST_OVERLAP * smaller + _tessellation(
+            assembly.pieces[a], assembly.pieces[b]
+        ):
             box = np.reshape(shared.bounding_box(), (2, 3))
             size = " x ".join(f"{extent:.4g}" for extent in box[1] - box[0])
             yield (
-                f"pieces {assembly.names[a]!r} and {assembly.names[b]!r}: their goals overlap by {shared.volume():.4g} mm3, "
+                f"pieces {assembly.names[a]!r} and {assembly.names[b]!r}: their goals overlap by "
+                f"{shared.volume():.4g} mm3, "
                 f"{size} mm ({shared.volume() / smaller:.2%} of the smaller)"
             )
 
 
 def _tessellation(first: Workpiece, second: Workpiece) -> float:
-    """Volume [mm3] by which two pieces overlap where facets tile a curved face that they share, each in its own way."""
+    """Volume [mm3] by which two pieces overlap where facets tile a curved face that they share, each in its
+    own way."""
     curved = [[(f.area, f.sagitta) for f in piece.facets if f.turn] for piece in (first, second)]
     if not all(curved):
         return 0.0
@@ -134,8 +146,12 @@ def _floating(assembly: Assembly, bodies: list[manifold3d.Manifold]) -> Iterator
             continue
         gaps = [(heights[a] * 1e3, "the support") for a in group]
         others = neighbours.keys() - group
-        gaps += [(bodies[a].min_gap(bodies[b], SEARCH), repr(assembly.names[b])) for a in group for b in others]
+        gaps += [
+            (bodies[a].min_gap(bodies[b], SEARCH), repr(assembly.names[b])) for a in group for b in others
+        ]
         gap, nearest = min(gaps)
         names = ", ".join(repr(assembly.names[piece]) for piece in sorted(group))
         what = f"piece {names} touches" if len(group) == 1 else f"pieces {names} hang together but touch"
-        yield f"{what} neither the support nor another piece by a face: nearest is {nearest}, {gap:.4g} mm away"
+        yield (
+            f"{what} neither the support nor another piece by a face: nearest is {nearest}, {gap:.4g} mm away"
+        )

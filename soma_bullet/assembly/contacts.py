@@ -1,9 +1,8 @@
 """Contact patches between workpieces, and between workpieces and the support.
 
-A patch is the planar polygon that two opposite facets share (shapely clips one against the other); coplanar patches of one
-body pair are one patch. Facets that tile a curved face touch within the angle and the depth of their tessellation; they give
-points and normals.
-"""
+A patch is the planar polygon that two opposite facets share (shapely clips one against the other); coplanar
+patches of one body pair are one patch. Facets that tile a curved face touch within the angle and the depth of
+their tessellation; they give points and normals."""
 
 from __future__ import annotations
 
@@ -51,7 +50,8 @@ class Contact:
 
 @dataclass(frozen=True, eq=False)
 class _Patch:
-    """What two facets share: normal (3,) from the first, plane offset, corners (k, 3), area, and gap along the normal."""
+    """What two facets share: normal (3,) from the first, plane offset, corners (k, 3), area, and gap along
+    the normal."""
 
     normal: Array
     offset: float
@@ -62,7 +62,10 @@ class _Patch:
 
 def find_contacts(pieces: Sequence[Workpiece], goals: Array, support_height: float) -> tuple[Contact, ...]:
     """All patches among pieces at poses (n, 4, 4) and with the support plane z = support_height [m]."""
-    facets = [tuple(facet.moved(goal) for facet in piece.facets) for piece, goal in zip(pieces, np.asarray(goals), strict=True)]
+    facets = [
+        tuple(facet.moved(goal) for facet in piece.facets)
+        for piece, goal in zip(pieces, np.asarray(goals), strict=True)
+    ]
     boxes = [np.array([[*f.lift(np.array(f.polygon.envelope.exterior.coords))] for f in fs]) for fs in facets]
     lows, highs = [b.min(axis=1) for b in boxes], [b.max(axis=1) for b in boxes]
     patches = []
@@ -70,10 +73,14 @@ def find_contacts(pieces: Sequence[Workpiece], goals: Array, support_height: flo
         patches += _support_patches(a, facets[a], support_height, pieces[a].clearance + GAP_TOLERANCE)
         for b in range(a + 1, len(pieces)):
             gap = pieces[a].clearance + pieces[b].clearance + GAP_TOLERANCE
-            near = np.all(lows[a].min(0) < highs[b].max(0) + gap) and np.all(lows[b].min(0) < highs[a].max(0) + gap)
+            near = np.all(lows[a].min(0) < highs[b].max(0) + gap) and np.all(
+                lows[b].min(0) < highs[a].max(0) + gap
+            )
             if near:
                 reach = gap + 2 * LARGEST_SAGITTA
-                close = (lows[a][:, None] < highs[b] + reach).all(axis=2) & (lows[b] < highs[a][:, None] + reach).all(axis=2)
+                close = (lows[a][:, None] < highs[b] + reach).all(axis=2) & (
+                    lows[b] < highs[a][:, None] + reach
+                ).all(axis=2)
                 patches += _pair_patches(a, b, facets[a], facets[b], gap, close)
     return tuple(patches)
 
@@ -104,14 +111,19 @@ def _pair_patches(
     found = []
     for i, j in np.argwhere(opposite & close):
         first, second = facets_a[i], facets_b[j]
-        patch = _curved_patch(first, second, gap) if first.turn or second.turn else _flat_patch(first, second, gap)
+        patch = (
+            _curved_patch(first, second, gap)
+            if first.turn or second.turn
+            else _flat_patch(first, second, gap)
+        )
         if patch is not None:
             found.append(patch)
     return _merged(a, b, found)
 
 
 def _flat_patch(first: Facet, second: Facet, gap: float) -> _Patch | None:
-    """What two flat faces share: the second lies in the first's plane, its corners projected into the first's basis."""
+    """What two flat faces share: the second lies in the first's plane, its corners projected into the first's
+    basis."""
     distances = second.lift(shapely.get_coordinates(second.polygon)) @ first.normal - first.offset
     if abs(np.median(distances)) > gap:
         return None
@@ -123,7 +135,8 @@ def _flat_patch(first: Facet, second: Facet, gap: float) -> _Patch | None:
 
 
 def _curved_patch(first: Facet, second: Facet, gap: float) -> _Patch | None:
-    """What two facets share of which at least one tiles a curved face: points and a normal; the area decides nothing."""
+    """What two facets share of which at least one tiles a curved face: points and a normal; the area decides
+    nothing."""
     gap += first.sagitta + second.sagitta
     corners = second.lift(shapely.get_coordinates(second.polygon.envelope))
     distances = corners @ first.normal - first.offset
@@ -133,7 +146,9 @@ def _curved_patch(first: Facet, second: Facet, gap: float) -> _Patch | None:
     if shared.area < SMALLEST_STRIP:
         return None
     points = first.lift(shapely.get_coordinates(shared))
-    apart = (second.offset - points @ second.normal) / (first.normal @ second.normal)  # along the first's normal
+    apart = (second.offset - points @ second.normal) / (
+        first.normal @ second.normal
+    )  # along the first's normal
     points, apart = points[np.abs(apart) <= gap], apart[np.abs(apart) <= gap]
     if not len(points):
         return None
@@ -161,7 +176,10 @@ def _merged(a: int, b: int, found: list[_Patch]) -> list[Contact]:
     for patch in found:
         for group in groups:
             other = group[0]
-            if patch.normal @ other.normal > np.cos(ANGLE_TOLERANCE) and abs(patch.offset - other.offset) < GAP_TOLERANCE:
+            if (
+                patch.normal @ other.normal > np.cos(ANGLE_TOLERANCE)
+                and abs(patch.offset - other.offset) < GAP_TOLERANCE
+            ):
                 group.append(patch)
                 break
         else:
@@ -170,7 +188,11 @@ def _merged(a: int, b: int, found: list[_Patch]) -> list[Contact]:
     for group in groups:
         normal, offset, gap = group[0].normal, group[0].offset, group[0].gap
         basis = np.stack(tangents(normal))
-        outline = outline_vertices(shapely.multipoints(np.vstack([patch.points for patch in group]) @ basis.T))
+        outline = outline_vertices(
+            shapely.multipoints(np.vstack([patch.points for patch in group]) @ basis.T)
+        )
         points = outline @ basis + normal * (offset + (0.0 if a == SUPPORT else gap / 2))
-        contacts.append(Contact(a, b, readonly(normal), readonly(points), float(sum(patch.area for patch in group))))
+        contacts.append(
+            Contact(a, b, readonly(normal), readonly(points), float(sum(patch.area for patch in group)))
+        )
     return contacts

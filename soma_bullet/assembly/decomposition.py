@@ -1,12 +1,12 @@
 """Convex parts of any solid: exact where that is possible, measured and refused where it is not good enough.
 
-In order of preference: all maximal boxes of a mesh that is made of boxes; the mesh itself where it is convex; the pieces that
-remain when it is cut through its notches (exact); an approximate decomposition (CoACD), which stands out of the
-mesh by an amount that is measured.
+In order of preference: all maximal boxes of a mesh that is made of boxes; the mesh itself where it is convex;
+the pieces that remain when it is cut through its notches (exact); an approximate decomposition (CoACD), which
+stands out of the mesh by an amount that is measured.
 
-Sources: B. Chazelle, "Convex partitions of polyhedra", SIAM J. Comput. 13(3), 1984 (cuts through notches);
-X. Wei et al., "Approximate convex decomposition for 3D meshes with collision-aware concavity and tree search", SIGGRAPH 2022.
-"""
+Sources: B. Chazelle, "Convex partitions of polyhedra", SIAM J. Comput. 13(3), 1984 (cuts through notches); X.
+Wei et al., "Approximate convex decomposition for 3D meshes with collision-aware concavity and tree search",
+SIGGRAPH 2022."""
 
 from __future__ import annotations
 
@@ -66,12 +66,15 @@ class Decomposition:
     solid_faces: tuple[Indices, ...]
 
     def inset(self, distance: float) -> tuple[Hull, ...]:
-        """The parts with every face of the solid moved inwards by `distance` [m]; what vanishes is left out."""
+        """The parts with every face of the solid moved inwards by `distance` [m]; what vanishes is left
+        out."""
         shrunk = []
         for part, faces in zip(self.parts, self.solid_faces, strict=True):
             try:
                 shrunk.append(part.inset(distance, faces))
-            except ValueError:  # a thin part of many; where nothing is left the clearance is refused elsewhere
+            except (
+                ValueError
+            ):  # a thin part of many; where nothing is left the clearance is refused elsewhere
                 continue
         return tuple(shrunk)
 
@@ -80,7 +83,8 @@ def decompose(vertices: Array, faces: Array, facets: tuple[Facet, ...]) -> Decom
     """Convex parts of a closed mesh: vertices (v, 3) [m], outward triangles (f, 3), and its planar facets.
 
     Raises:
-        NotDecomposableError: the closest decomposition exceeds LARGEST_RATIO or LARGEST_DEVIATION; says by how much.
+        NotDecomposableError: the closest decomposition exceeds LARGEST_RATIO or LARGEST_DEVIATION; says by
+            how much.
     """
     boxes = box_parts(vertices, faces, np.array([facet.normal for facet in facets]))
     if boxes:
@@ -97,11 +101,15 @@ def decompose(vertices: Array, faces: Array, facets: tuple[Facet, ...]) -> Decom
         hull = mesh.convex_hull.volume / mesh.volume
         raise NotDecomposableError(
             f"is concave (its hull has {hull:.2f} x its volume) and no convex decomposition is close enough: "
-            f"{len(parts)} parts have {ratio:.3f} x its volume and stand out by {deviation * 1e3:.2f} mm; at most "
-            f"{LARGEST_RATIO:g} x and {LARGEST_DEVIATION * 1e3:g} mm are accepted; cut the piece into simpler ones, or model "
+            f"{len(parts)} parts have {ratio:.3f} x its volume and stand out by {deviation * 1e3:.2f} mm; "
+            f"at most "
+            f"{LARGEST_RATIO:g} x and {LARGEST_DEVIATION * 1e3:g} mm are accepted; cut the piece into "
+            f"simpler ones, or model "
             "it with fewer inward curves"
         )
-    return Decomposition(tuple(parts), "approximate", ratio, deviation, tuple(np.arange(len(p.normals)) for p in parts))
+    return Decomposition(
+        tuple(parts), "approximate", ratio, deviation, tuple(np.arange(len(p.normals)) for p in parts)
+    )
 
 
 def _exact(parts: list[Hull], kind: Kind, facets: tuple[Facet, ...]) -> Decomposition:
@@ -110,13 +118,16 @@ def _exact(parts: list[Hull], kind: Kind, facets: tuple[Facet, ...]) -> Decompos
     normals, offsets = np.array([f.normal for f in facets]), np.array([f.offset for f in facets])
     solid = []
     for part in parts:
-        same = (part.normals @ normals.T > np.cos(np.deg2rad(0.2))) & (np.abs(part.offsets[:, None] - offsets) < 1e-5)
+        same = (part.normals @ normals.T > np.cos(np.deg2rad(0.2))) & (
+            np.abs(part.offsets[:, None] - offsets) < 1e-5
+        )
         solid.append(np.flatnonzero(same.any(axis=1)))
     return Decomposition(tuple(parts), kind, 1.0, 0.0, tuple(solid))
 
 
 def cut_at_notches(vertices: Array, faces: Array) -> list[Array] | None:
-    """Corners (k, 3) [m] of the convex pieces of a closed mesh, cut at its notches; None if these are too many.
+    """Corners (k, 3) [m] of the convex pieces of a closed mesh, cut at its notches; None if these are too
+    many.
 
     Each cut goes through a notch and halves its angle; the one that resolves the most notches comes first.
     """
@@ -172,7 +183,10 @@ def _notch_planes(body: manifold3d.Manifold) -> Array:
     planes = np.column_stack([across, np.einsum("ij,ij->i", across, ends[notch][:, 0])])
     _, unique = np.unique(np.round(planes, 6), axis=0, return_index=True)
     planes = planes[np.sort(unique)]
-    through = np.abs(np.einsum("ekj,pj->epk", ends[notch], planes[:, :3]) - planes[:, 3][None, :, None]).max(axis=2) < 1e-4
+    through = (
+        np.abs(np.einsum("ekj,pj->epk", ends[notch], planes[:, :3]) - planes[:, 3][None, :, None]).max(axis=2)
+        < 1e-4
+    )
     return planes[np.argsort(-np.round(np.linalg.norm(along, axis=1) @ through, 6), kind="stable")]
 
 
@@ -216,8 +230,13 @@ def cache_folder() -> Path:
 
 
 def _cached_parts(vertices: Array, faces: Array) -> tuple[Kind, list[Array]]:
-    """Cuts, or else an approximation; computed once for each mesh and kept by its content where the disk allows."""
-    content = _VERSION.encode() + np.ascontiguousarray(vertices).tobytes() + np.ascontiguousarray(faces, np.int64).tobytes()
+    """Cuts, or else an approximation; computed once for each mesh and kept by its content where the disk
+    allows."""
+    content = (
+        _VERSION.encode()
+        + np.ascontiguousarray(vertices).tobytes()
+        + np.ascontiguousarray(faces, np.int64).tobytes()
+    )
     file = cache_folder() / f"{hashlib.sha256(content).hexdigest()[:32]}.npz"
     try:
         with np.load(file) as kept:

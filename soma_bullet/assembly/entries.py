@@ -187,7 +187,9 @@ def parse_entries(raw: Mapping[str, Any], faults: list[str]) -> tuple[FileEntry 
         tables = []
     elif not tables:
         faults.append("there is no [[piece]]; an assembly has at least one")
-    head = _structure({key: value for key, value in raw.items() if key != "piece"}, FileEntry, "the file", faults)
+    head = _structure(
+        {key: value for key, value in raw.items() if key != "piece"}, FileEntry, "the file", faults
+    )
     if head is not None and head.unit not in UNITS:
         faults.append(f"unit {head.unit!r} is unknown; it is one of {', '.join(UNITS)}")
         head = None
@@ -204,7 +206,9 @@ def parse_entries(raw: Mapping[str, Any], faults: list[str]) -> tuple[FileEntry 
     entries = []
     for number, (name, table) in enumerate(zip(names, tables, strict=True), 1):
         where = f"piece {name!r}" if isinstance(name, str) else f"piece number {number}"
-        entry = _structure(({} if head is None else head.of_every_piece(number - 1)) | table, PieceEntry, where, faults)
+        entry = _structure(
+            ({} if head is None else head.of_every_piece(number - 1)) | table, PieceEntry, where, faults
+        )
         if entry is None:
             continue
         own = {key: getattr(entry, key) if key in table else None for key in VALUES}
@@ -212,7 +216,9 @@ def parse_entries(raw: Mapping[str, Any], faults: list[str]) -> tuple[FileEntry 
         if entry.mesh_unit in UNITS:
             entries.append(entry)
         else:
-            faults.append(f"{where}: mesh_unit {entry.mesh_unit!r} is unknown; it is one of {', '.join(UNITS)}")
+            faults.append(
+                f"{where}: mesh_unit {entry.mesh_unit!r} is unknown; it is one of {', '.join(UNITS)}"
+            )
     return head, entries
 
 
@@ -222,7 +228,9 @@ def _stand_in(raw: Mapping[str, Any]) -> FileEntry | None:
         return None
     support = _structure(raw.get("support", {}), SupportEntry, "", [])
     defaults = _structure(raw.get("defaults", {}), DefaultsEntry, "", [])
-    return FileEntry("unnamed", raw["unit"], support or SupportEntry(height=-math.inf), defaults or DefaultsEntry())
+    return FileEntry(
+        "unnamed", raw["unit"], support or SupportEntry(height=-math.inf), defaults or DefaultsEntry()
+    )
 
 
 def goal_pose(entry: PieceEntry, scale: float) -> Array:
@@ -245,7 +253,10 @@ def goal_pose(entry: PieceEntry, scale: float) -> Array:
         faults += _length_faults(f"{where}.quat_wxyz", goal.quat_wxyz, "w, x, y, z")
         norm = float(np.linalg.norm(goal.quat_wxyz))
         if abs(norm - 1) > QUATERNION_TOLERANCE:
-            faults.append(f"{where}.quat_wxyz has norm {norm:.6g}; a rotation has norm 1 within {QUATERNION_TOLERANCE:g}")
+            faults.append(
+                f"{where}.quat_wxyz has norm {norm:.6g}; a rotation has norm 1 within "
+                f"{QUATERNION_TOLERANCE:g}"
+            )
         elif len(goal.quat_wxyz) == 4:
             rotation = Rotation.from_quat(goal.quat_wxyz, scalar_first=True)
     if faults:
@@ -270,7 +281,10 @@ def _value_faults(
     if friction is not None and not 0 <= friction <= LARGEST_FRICTION:
         yield f"{where}: friction {friction:g} must lie in 0 to {LARGEST_FRICTION:g}"
     if clearance is not None and clearance < 0:
-        yield f"{where}: clearance {clearance:g} must not be negative; it is how far faces stand back from the mesh"
+        yield (
+            f"{where}: clearance {clearance:g} must not be negative; it is how far faces stand back from "
+            f"the mesh"
+        )
     if chamfer is not None and chamfer < 0:
         yield f"{where}: chamfer {chamfer:g} must not be negative; it is how much of the edges is cut"
 

@@ -1,4 +1,5 @@
-"""Planar facets of a mesh: coplanar triangles of one normal merged into one polygon, and which of them tile a curved face."""
+"""Planar facets of a mesh: coplanar triangles of one normal merged into one polygon, and which of them tile a
+curved face."""
 
 from __future__ import annotations
 
@@ -26,7 +27,8 @@ class Facet:
         offset: normal . x for every x of the plane [m].
         basis: two unit tangents (2, 3) that span the plane.
         polygon: the face in the basis' coordinates [m].
-        turn: angle by which a curved face turns from one side of the facet to the other [rad]; 0 where the face is flat.
+        turn: angle by which a curved face turns from one side of the facet to the other [rad]; 0 where the
+            face is flat.
         sagitta: how far that curved face departs from the facet [m].
     """
 
@@ -59,8 +61,8 @@ class Facet:
 def planar_facets(vertices: Array, faces: Array) -> tuple[Facet, ...]:
     """Merge the triangles (f, 3) over vertices (v, 3) [m] into planar facets, largest first.
 
-    Triangles of one plane become one facet whether or not they touch, so the result does not depend on the tessellation.
-    """
+    Triangles of one plane become one facet whether or not they touch, so the result does not depend on the
+    tessellation."""
     triangles = vertices[faces]
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     doubled_area = np.linalg.norm(cross, axis=1)
@@ -79,7 +81,9 @@ def planar_facets(vertices: Array, faces: Array) -> tuple[Facet, ...]:
         owner[same] = len(seeds)
         seeds.append(int(seed))
     bends = _bends(np.asarray(faces)[kept], owner, normals[seeds])
-    facets = [_merge(normals[seed], offsets[seed], triangles[owner == k], bends[k]) for k, seed in enumerate(seeds)]
+    facets = [
+        _merge(normals[seed], offsets[seed], triangles[owner == k], bends[k]) for k, seed in enumerate(seeds)
+    ]
     return tuple(sorted(facets, key=lambda facet: -round(facet.area, 12)))
 
 
@@ -119,7 +123,8 @@ def _merge(normal: Array, offset: float, triangles: Array, bends: list[float]) -
 
 
 def outline_vertices(polygon: BaseGeometry) -> Array:
-    """Corners (n, 2) of the convex hull of a geometry, counter-clockwise, collinear ones dropped; a line has two."""
+    """Corners (n, 2) of the convex hull of a geometry, counter-clockwise, collinear ones dropped; a line has
+    two."""
     hull = shapely.orient_polygons(polygon.convex_hull.simplify(1e-6))
     return np.array(hull.exterior.coords[:-1] if isinstance(hull, Polygon) else hull.coords)
 

@@ -13,16 +13,13 @@
     clearance = 0.1        # by how much every face of the real piece stands back from its mesh
     chamfer = 0.0          # by how much the edges of the real piece are cut, along both of their faces
 
-    [[piece]]              # one for each; mesh_unit, color, density, friction, clearance and chamfer are optional
-    name = "Z"
-    mesh = "Z.obj"         # obj, stl, ply or glb; relative to this file
-    mesh_unit = "mm"       # where it is not the file's unit
-    color = "#f2c14e"      # or [0.95, 0.76, 0.31]
-    goal = { position = [0.0, -18.5, 27.75], rpy_deg = [0.0, -90.0, 0.0] }   # or quat_wxyz = [1.0, 0.0, 0.0, 0.0]
+    [[piece]]              # one for each; mesh_unit, color, density, friction, clearance and chamfer are
+    optional name = "Z" mesh = "Z.obj"         # obj, stl, ply or glb; relative to this file mesh_unit = "mm"
+    # where it is not the file's unit color = "#f2c14e"      # or [0.95, 0.76, 0.31] goal = { position = [0.0,
+    -18.5, 27.75], rpy_deg = [0.0, -90.0, 0.0] }   # or quat_wxyz = [1.0, 0.0, 0.0, 0.0]
 
-`rpy_deg` turns about the fixed axes x, then y, then z (as in URDF). A goal is the nominal pose, at which faces that touch
-coincide: the gaps come from the clearances. All faults of a file are reported at once.
-"""
+`rpy_deg` turns about the fixed axes x, then y, then z (as in URDF). A goal is the nominal pose, at which
+faces that touch coincide: the gaps come from the clearances. All faults of a file are reported at once."""
 
 from __future__ import annotations
 
@@ -89,14 +86,26 @@ def find_assembly_file(path_or_name: str | Path) -> Path:
         return given
     package = Path(__file__).resolve().parents[1]
     roots = [root for root in (package / "meshes", package.parent / "meshes") if root.is_dir()]
-    known = {f"{file.parent.name}/{file.stem}": file for root in reversed(roots) for file in sorted(root.glob("*/*.toml"))}
+    known = {
+        f"{file.parent.name}/{file.stem}": file
+        for root in reversed(roots)
+        for file in sorted(root.glob("*/*.toml"))
+    }
     name = given.as_posix().removesuffix(".toml")
     found = [file for full, file in known.items() if name in (full, file.stem)]
     if len(found) == 1:
         return found[0]
-    what = "several have this name" if found else "is a folder, not a file" if given.is_dir() else "there is no such assembly"
+    what = (
+        "several have this name"
+        if found
+        else "is a folder, not a file"
+        if given.is_dir()
+        else "there is no such assembly"
+    )
     tried = [given.absolute(), *(root / f"{name if '/' in name else f'*/{name}'}.toml" for root in roots)]
-    near = [] if found else difflib.get_close_matches(name, [*known, *(file.stem for file in known.values())], 1)
+    near = (
+        [] if found else difflib.get_close_matches(name, [*known, *(file.stem for file in known.values())], 1)
+    )
     raise InputError(
         str(path_or_name),
         f"{what}; tried {', '.join(map(str, tried))}; names are {', '.join(known)}"
@@ -110,7 +119,9 @@ def _read(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise InputError(str(path), f"cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise InputError(str(path), f"is not UTF-8 text (byte {error.start}); an assembly file is TOML") from error
+        raise InputError(
+            str(path), f"is not UTF-8 text (byte {error.start}); an assembly file is TOML"
+        ) from error
     except tomllib.TOMLDecodeError as error:
         raise InputError(str(path), f"is not valid TOML: {error}") from error
 
@@ -129,8 +140,15 @@ def _workpiece(entry: PieceEntry, folder: Path, scale: float) -> tuple[Workpiece
     vertices, faces, digest = read_mesh(folder, entry.mesh, UNITS[entry.mesh_unit], f"piece {entry.name!r}")
     clearance = entry.clearance * scale
     piece = Workpiece(
-        entry.name, vertices, faces, entry.density, entry.friction, clearance, entry.color, entry.chamfer * scale
-    )  # fmt: skip
+        entry.name,
+        vertices,
+        faces,
+        entry.density,
+        entry.friction,
+        clearance,
+        entry.color,
+        entry.chamfer * scale,
+    )
     faults = tuple(piece_faults(piece))
     if faults:
         raise Faults(*faults)

@@ -49,7 +49,13 @@ class Hull:
         if self.box is not None:
             centre, axes, half = self.box
             box = (centre @ rotation.T + shift, axes @ rotation.T, half)
-        return Hull(self.vertices @ rotation.T + shift, normals, self.offsets + normals @ shift, self.edges @ rotation.T, box)
+        return Hull(
+            self.vertices @ rotation.T + shift,
+            normals,
+            self.offsets + normals @ shift,
+            self.edges @ rotation.T,
+            box,
+        )
 
     def inset(self, distance: float, faces: Indices | None = None) -> Hull:
         """The polytope with its faces, or only those at the indices `faces`, moved inwards by `distance` [m].
@@ -62,7 +68,9 @@ class Hull:
         if self.box is not None and (faces is None or len(faces) == len(self.normals)):
             centre, axes, half = self.box
             if np.any(half <= distance):
-                raise ValueError(f"an inset of {distance * 1e3:g} mm leaves nothing of a box of {2e3 * half.min():g} mm")
+                raise ValueError(
+                    f"an inset of {distance * 1e3:g} mm leaves nothing of a box of {2e3 * half.min():g} mm"
+                )
             return box_hull(centre, axes, half - distance)
         steps = np.zeros(len(self.normals))
         steps[slice(None) if faces is None else faces] = distance
@@ -90,7 +98,10 @@ class Hull:
 def _deepest_point(planes: Array) -> tuple[float, Array]:
     """Radius [m] and centre (3,) of the largest ball inside half-spaces (f, 4) normal . x + offset <= 0."""
     result = linprog(
-        (0, 0, 0, -1), A_ub=np.column_stack([planes[:, :3], np.ones(len(planes))]), b_ub=-planes[:, 3], bounds=(None, None)
+        (0, 0, 0, -1),
+        A_ub=np.column_stack([planes[:, :3], np.ones(len(planes))]),
+        b_ub=-planes[:, 3],
+        bounds=(None, None),
     )
     return (float(result.x[3]), result.x[:3]) if result.success else (0.0, np.zeros(3))
 
@@ -112,7 +123,9 @@ def box_hull(centre: Array, axes: Array, half: Array) -> Hull:
     vertices = centre + (signs * half) @ axes
     normals = np.vstack([axes, -axes])
     offsets = np.concatenate([axes @ centre + half, -(axes @ centre) + half])
-    return Hull(readonly(vertices), readonly(normals), readonly(offsets), readonly(axes), (centre, axes, half))
+    return Hull(
+        readonly(vertices), readonly(normals), readonly(offsets), readonly(axes), (centre, axes, half)
+    )
 
 
 def hull_of_points(points: Array) -> Hull:
@@ -131,7 +144,11 @@ def hull_of_points(points: Array) -> Hull:
                 edges.append(edge / np.linalg.norm(edge))
     normals = planes[:, :3]
     directions = unique_directions(normals)
-    if len(normals) == 6 and len(directions) == 3 and np.allclose(directions @ directions.T, np.eye(3), atol=1e-6):
+    if (
+        len(normals) == 6
+        and len(directions) == 3
+        and np.allclose(directions @ directions.T, np.eye(3), atol=1e-6)
+    ):
         reach = points @ directions.T
         low, high = reach.min(axis=0), reach.max(axis=0)
         return box_hull((low + high) / 2 @ directions, directions, (high - low) / 2)
@@ -146,8 +163,8 @@ def hull_of_points(points: Array) -> Hull:
 def winding_numbers(vertices: Array, faces: Array, points: Array) -> Array:
     """Generalised winding number (n,) of a closed mesh about points (n, 3): 1 inside, 0 outside.
 
-    Source: A. van Oosterom, J. Strackee, "The solid angle of a plane triangle", IEEE Trans. Biomed. Eng., 1983.
-    """
+    Source: A. van Oosterom, J. Strackee, "The solid angle of a plane triangle", IEEE Trans. Biomed. Eng.,
+    1983."""
     a, b, c = (vertices[faces[:, k]][None] - points[:, None] for k in range(3))
     la, lb, lc = (np.linalg.norm(v, axis=2) for v in (a, b, c))
     numerator = np.einsum("ijk,ijk->ij", a, np.cross(b, c))
@@ -159,8 +176,8 @@ def winding_numbers(vertices: Array, faces: Array, points: Array) -> Array:
 def box_parts(vertices: Array, faces: Array, facet_normals: Array) -> list[Hull] | None:
     """All maximal boxes of a mesh whose faces have three orthogonal directions; None for any other mesh.
 
-    Every box inside the body lies in one of them, so that the union of the boxes inset by c is the body eroded by c.
-    """
+    Every box inside the body lies in one of them, so that the union of the boxes inset by c is the body
+    eroded by c."""
     axes = unique_directions(facet_normals)
     if len(axes) != 3 or not np.allclose(axes @ axes.T, np.eye(3), atol=1e-4):
         return None

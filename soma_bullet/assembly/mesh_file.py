@@ -14,7 +14,8 @@ from soma_bullet.frames import Array, readonly
 
 
 def read_mesh(folder: Path, name: str, scale: float, where: str) -> tuple[Array, Array, str]:
-    """Vertices (v, 3) [m], outward triangles (f, 3) and the hash of the bytes of a mesh file (obj, stl, ply, glb).
+    """Vertices (v, 3) [m], outward triangles (f, 3) and the hash of the bytes of a mesh file (obj, stl, ply,
+    glb).
 
     Args:
         folder: what `name` is relative to.
@@ -56,11 +57,17 @@ def _solid_fault(mesh: trimesh.Trimesh) -> str:
     _, count = np.unique(np.sort(mesh.edges, axis=1), axis=0, return_counts=True)
     if (count != 2).any():
         open_edges, crowded = int((count == 1).sum()), int((count > 2).sum())
-        return f"is not watertight: of {len(count)} edges {open_edges} are open, {crowded} have more than two triangles"
+        return (
+            f"is not watertight: of {len(count)} edges {open_edges} are open, {crowded} have more than two "
+            f"triangles"
+        )
     if not mesh.is_winding_consistent:
         return "has triangles wound both ways; all must be counter-clockwise seen from outside"
     if mesh.body_count > 1:
         return f"has {mesh.body_count} separate bodies (or a cavity); a piece is one solid"
     if mesh.volume <= 0:
-        return f"is inside out: its volume is {mesh.volume:g}; triangles must be counter-clockwise seen from outside"
+        return (
+            f"is inside out: its volume is {mesh.volume:g}; triangles must be counter-clockwise seen from "
+            f"outside"
+        )
     return ""

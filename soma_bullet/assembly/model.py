@@ -69,7 +69,8 @@ class Assembly:
     def goal_parts(self) -> tuple[tuple[Hull, ...], ...]:
         """Convex parts of every piece at its goal, in the assembly frame."""
         return tuple(
-            tuple(part.moved(goal) for part in piece.parts) for piece, goal in zip(self.pieces, self.goals, strict=True)
+            tuple(part.moved(goal) for part in piece.parts)
+            for piece, goal in zip(self.pieces, self.goals, strict=True)
         )
 
     @cached_property
@@ -79,7 +80,8 @@ class Assembly:
 
     @cached_property
     def meeting(self) -> frozenset[frozenset[int]]:
-        """Pairs of bodies (SUPPORT among them) that meet in the finished assembly: by a face, along an edge or at a corner."""
+        """Pairs of bodies (SUPPORT among them) that meet in the finished assembly: by a face, along an edge
+        or at a corner."""
         faces = {frozenset((contact.body_a, contact.body_b)) for contact in self.contacts}
         edges = {
             frozenset((a, b))
@@ -89,7 +91,8 @@ class Assembly:
         return frozenset(faces | edges)
 
     def contacts_of(self, piece: int, placed: frozenset[int]) -> tuple[Contact, ...]:
-        """Contacts of `piece` with the placed pieces and the support, each oriented with its normal into `piece`."""
+        """Contacts of `piece` with the placed pieces and the support, each oriented with its normal into
+        `piece`."""
         mine = (c.into(piece) for c in self.contacts if piece in (c.body_a, c.body_b))
         return tuple(c for c in mine if c.body_a == SUPPORT or c.body_a in placed)
 
@@ -99,10 +102,11 @@ class Assembly:
         return self.drops_of(frozenset(range(len(self.pieces))))
 
     def drops_of(self, placed: frozenset[int]) -> Array:
-        """How far each placed piece settles below its nominal goal when it is put down (n,) [m]; 0 for the others.
+        """How far each placed piece settles below its nominal goal when it is put down (n,) [m]; 0 for the
+        others.
 
-        A piece on the support drops by its clearance; one on others by both clearances plus the smallest drop among the pieces
-        that carry it (it rests on the highest). A piece that nothing carries keeps its goal.
+        A piece on the support drops by its clearance; one on others by both clearances plus the smallest drop
+        among the pieces that carry it (it rests on the highest). A piece that nothing carries keeps its goal.
         """
         upward = np.cos(np.deg2rad(60.0))
         carriers: list[set[int]] = [set() for _ in self.pieces]
@@ -122,6 +126,7 @@ class Assembly:
                     drops[piece] = self.pieces[piece].clearance
                 elif not np.isnan(drops[list(below)]).any():
                     drops[piece] = min(
-                        drops[other] + self.pieces[piece].clearance + self.pieces[other].clearance for other in below
+                        drops[other] + self.pieces[piece].clearance + self.pieces[other].clearance
+                        for other in below
                     )
         return np.nan_to_num(drops)

@@ -1,8 +1,8 @@
 """Packings of a box by polycubes, and the assemblies that they are: the 240 Soma cubes.
 
-A packing is an exact cover of the box's cells, found by depth-first search: the first empty cell must be filled by some
-placement of some body that is left (D. Knuth, "Dancing links", 2000, with bit masks in place of links).
-"""
+A packing is an exact cover of the box's cells, found by depth-first search: the first empty cell must be
+filled by some placement of some body that is left (D. Knuth, "Dancing links", 2000, with bit masks in place
+of links)."""
 
 from __future__ import annotations
 
@@ -34,7 +34,9 @@ def placements(body: Sequence[Cell], box: Box) -> list[Cells]:
     for rotation in cube_rotations():
         turned = np.array(body) @ rotation.T.astype(int)
         turned -= turned.min(axis=0)
-        for shift in product(*(range(size - reach) for size, reach in zip(box, turned.max(axis=0), strict=True))):
+        for shift in product(
+            *(range(size - reach) for size, reach in zip(box, turned.max(axis=0), strict=True))
+        ):
             found.add(_sorted(turned + shift))
     return sorted(found)
 
@@ -47,12 +49,13 @@ def packings(bodies: Sequence[Sequence[Cell]], box: Box = CUBE) -> Iterator[Pack
 def distinct_packings(bodies: Sequence[Sequence[Cell]], box: Box = CUBE) -> list[Packing]:
     """One packing of each set that the box's rotations and reflections map onto each other, sorted.
 
-    A reflection may take one body for another (A and B of the Soma cube), so that packings are compared as partitions.
-    """
+    A reflection may take one body for another (A and B of the Soma cube), so that packings are compared as
+    partitions."""
     choices, turns = [placements(body, box) for body in bodies], box_symmetries(box)
     images = [_images(turn, box) for turn in turns]
     proper = [image for image, turn in zip(images, turns, strict=True) if np.linalg.det(turn) > 0]
-    # some rotation brings the body with the most placements into the first of their orbit: the others need no look
+    # some rotation brings the body with the most placements into the first of their orbit: the others need no
+    # look
     widest = max(range(len(bodies)), key=lambda k: len(choices[k]))
     choices[widest] = sorted({min(_moved(cells, image) for image in proper) for cells in choices[widest]})
     first: dict[Packing, Packing] = {}
@@ -124,8 +127,12 @@ def _packings(choices: Sequence[Sequence[Cells]], box: Box) -> Iterator[Packing]
 
 
 def piece_cells(piece: Workpiece, side: float = SIDE) -> Cells:
-    """The cells of a piece made of cubes of that side [m], with the centre of one at the origin of its mesh."""
-    low, high = (np.rint(np.array(end) / side).astype(int) for end in (piece.vertices.min(axis=0), piece.vertices.max(axis=0)))
+    """The cells of a piece made of cubes of that side [m], with the centre of one at the origin of its
+    mesh."""
+    low, high = (
+        np.rint(np.array(end) / side).astype(int)
+        for end in (piece.vertices.min(axis=0), piece.vertices.max(axis=0))
+    )
     lattice = np.array(list(product(*(range(a, b + 1) for a, b in zip(low, high, strict=True)))))
     held = [(lattice * side @ part.normals.T < part.offsets - INSIDE).all(axis=1) for part in piece.parts]
     return _sorted(lattice[np.any(held, axis=0)])
@@ -136,7 +143,9 @@ def packed_assembly(whole: Assembly, packing: Packing, side: float = SIDE) -> As
     goals = []
     for piece, cells in zip(whole.pieces, packing, strict=True):
         rotation, shift = cell_poses(piece_cells(piece, side), cells)[0]
-        goals.append(make_transform(rotation, (shift + (0.0, 0.0, 0.5)) * side + (0.0, 0.0, whole.support.height)))
+        goals.append(
+            make_transform(rotation, (shift + (0.0, 0.0, 0.5)) * side + (0.0, 0.0, whole.support.height))
+        )
     digest = hashlib.sha256(f"{whole.digest} {packing} {side}".encode()).hexdigest()
     return replace(whole, goals=readonly(goals), digest=digest)
 
@@ -148,7 +157,8 @@ def _soma() -> Assembly:
 
 @cache
 def soma_cubes() -> tuple[Packing, ...]:
-    """The 240 Soma cubes that differ by more than a rotation or a reflection, pieces in the order of meshes/soma/cube.toml."""
+    """The 240 Soma cubes that differ by more than a rotation or a reflection, pieces in the order of
+    meshes/soma/cube.toml."""
     return tuple(distinct_packings([piece_cells(piece) for piece in _soma().pieces]))
 
 

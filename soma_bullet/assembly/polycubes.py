@@ -15,9 +15,9 @@ Cell = tuple[int, int, int]
 def cell_mesh(cells: Iterable[Cell], side: float) -> tuple[Array, Array]:
     """The surface of a union of cells: vertices (v, 3) in the unit of `side`, outward triangles (f, 3).
 
-    A cell (i, j, k) is the cube of that side about (i, j, k) * side. Faces that two cells share are left out and corners are
-    merged, so the mesh is a closed manifold for every body whose cells hang together by faces.
-    """
+    A cell (i, j, k) is the cube of that side about (i, j, k) * side. Faces that two cells share are left out
+    and corners are merged, so the mesh is a closed manifold for every body whose cells hang together by
+    faces."""
     filled = set(cells)
     index: dict[Cell, int] = {}
     faces = []
@@ -26,7 +26,8 @@ def cell_mesh(cells: Iterable[Cell], side: float) -> tuple[Array, Array]:
             neighbour = [c + sign * (k == axis) for k, c in enumerate(cell)]
             if (neighbour[0], neighbour[1], neighbour[2]) in filled:
                 continue
-            # (axis, right, up) is a right-handed frame, so this loop is outward where the face looks along +axis
+            # (axis, right, up) is a right-handed frame, so this loop is outward where the face looks along
+            # +axis
             right, up = (axis + 1) % 3, (axis + 2) % 3
             corners = []
             for along_right, along_up in ((-1, -1), (1, -1), (1, 1), (-1, 1))[::sign]:
@@ -51,7 +52,8 @@ def cube_rotations() -> list[Array]:
 
 
 def cell_poses(cells: Iterable[Cell], target: Iterable[Cell]) -> list[tuple[Array, Array]]:
-    """All (rotation (3, 3), shift (3,) [cells]) that move `cells` onto `target`; empty where the two differ in shape."""
+    """All (rotation (3, 3), shift (3,) [cells]) that move `cells` onto `target`; empty where the two differ
+    in shape."""
     source, goal = np.array(sorted(cells), float), np.array(sorted(target), float)
     found = []
     for rotation in cube_rotations():

@@ -28,7 +28,9 @@ def resting_poses(piece: Workpiece) -> Array:
             pose[:3, 3] = -pose[:3, :3] @ piece.center_of_mass
             pose[2, 3] = -(pose[:3, :3] @ piece.vertices.T)[2].min() - piece.clearance
             found.append((float(tilt), pose))
-    return np.array([pose for _, pose in sorted(found, key=lambda item: -round(item[0], 9))]).reshape(-1, 4, 4)
+    return np.array([pose for _, pose in sorted(found, key=lambda item: -round(item[0], 9))]).reshape(
+        -1, 4, 4
+    )
 
 
 def _planes(hull: ConvexHull) -> list[tuple[Array, float]]:
@@ -40,7 +42,8 @@ def _planes(hull: ConvexHull) -> list[tuple[Array, float]]:
 
 
 def _support_margin(vertices: Array, normal: Array, offset: float, com: Array) -> float:
-    """Distance [m] of the centre of mass, seen along the normal, from the edge of the facet; negative outside."""
+    """Distance [m] of the centre of mass, seen along the normal, from the edge of the facet; negative
+    outside."""
     feet = vertices[np.abs(vertices @ normal + offset) < 1e-6]
     basis = _down(normal)[:2]
     flat = feet @ basis.T

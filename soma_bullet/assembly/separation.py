@@ -1,8 +1,7 @@
 """Separating-axis tests between convex bodies, vectorised over many poses of one of them.
 
-Source: S. Gottschalk, M. Lin, D. Manocha, "OBBTree", SIGGRAPH 1996; the candidate axes of two polytopes are the face
-normals of either and the cross products of their edges.
-"""
+Source: S. Gottschalk, M. Lin, D. Manocha, "OBBTree", SIGGRAPH 1996; the candidate axes of two polytopes are
+the face normals of either and the cross products of their edges."""
 
 from __future__ import annotations
 
@@ -20,8 +19,9 @@ SMALLEST_AXIS = 1e-9  # a shorter cross product comes from parallel edges
 def zonotope_separation(centres: Array, generators: Array, hulls: Sequence[Hull]) -> Array:
     """Largest gap over the separating axes between n zonotopes and the nearest of some polytopes.
 
-    A zonotope is centre + sum of [-1, 1] * generator: a box has three generators, a box swept along a line four.
-    Pairs that an axis parts by more than FAR are not looked at along further ones, which could only add to the gap.
+    A zonotope is centre + sum of [-1, 1] * generator: a box has three generators, a box swept along a line
+    four. Pairs that an axis parts by more than FAR are not looked at along further ones, which could only add
+    to the gap.
 
     Args:
         centres: (n, 3) [m].
@@ -29,14 +29,17 @@ def zonotope_separation(centres: Array, generators: Array, hulls: Sequence[Hull]
         hulls: polytopes in the same frame.
 
     Returns:
-        (n,) [m]: positive is a gap (a lower bound of the distance), negative a penetration depth; +inf without polytopes.
+        (n,) [m]: positive is a gap (a lower bound of the distance), negative a penetration depth; +inf
+        without polytopes.
     """
     if not len(centres) or not len(hulls):
         return np.full(len(centres), np.inf)
     # boxes along the axes of the frame tell most pairs apart
     half = np.abs(generators).sum(axis=1)
     low, high = np.array([hull.bounds[0] for hull in hulls]), np.array([hull.bounds[1] for hull in hulls])
-    gaps = np.maximum((centres - half)[None] - high[:, None], low[:, None] - (centres + half)[None]).max(axis=2)
+    gaps = np.maximum((centres - half)[None] - high[:, None], low[:, None] - (centres + half)[None]).max(
+        axis=2
+    )
     undecided = np.flatnonzero((gaps < FAR).any(axis=0))
     if len(undecided):
         gaps[:, undecided] = _gaps(centres[undecided], generators[undecided], hulls, gaps[:, undecided])
@@ -44,7 +47,8 @@ def zonotope_separation(centres: Array, generators: Array, hulls: Sequence[Hull]
 
 
 def _gaps(centres: Array, generators: Array, hulls: Sequence[Hull], gaps: Array) -> Array:
-    """Gaps (h, n) [m] of n zonotopes from every hull, given lower bounds of them; those beyond FAR are left as they are."""
+    """Gaps (h, n) [m] of n zonotopes from every hull, given lower bounds of them; those beyond FAR are left
+    as they are."""
     # coordinates first: sums over them are then sums of whole arrays
     middle, spread = centres.T, np.moveaxis(generators, 2, 0)
     first, second = np.triu_indices(generators.shape[1], 1)
@@ -55,16 +59,21 @@ def _gaps(centres: Array, generators: Array, hulls: Sequence[Hull], gaps: Array)
         if len(close):
             gap[close] = np.maximum(gap[close], _widest_gap(own[:, close], (at[close], reach[close]), hull))
             shared = np.broadcast_to(hull.axes.T[:, None], (3, len(close), len(hull.axes)))
-            gap[close] = np.maximum(gap[close], _widest_gap(shared, _span(shared, middle[:, close], spread[:, close]), hull))
+            gap[close] = np.maximum(
+                gap[close], _widest_gap(shared, _span(shared, middle[:, close], spread[:, close]), hull)
+            )
         near = close[gap[close] < FAR]
         if len(near):
             crossed = _cross(spread[:, near, :, None], hull.edges.T[:, None, None]).reshape(3, len(near), -1)
-            gap[near] = np.maximum(gap[near], _widest_gap(crossed, _span(crossed, middle[:, near], spread[:, near]), hull))
+            gap[near] = np.maximum(
+                gap[near], _widest_gap(crossed, _span(crossed, middle[:, near], spread[:, near]), hull)
+            )
     return gaps
 
 
 def pair_separation(first: tuple[Array, Array], second: tuple[Array, Array]) -> Array:
-    """Largest gap (a, b) [m] over the separating axes between a zonotopes and b others; negative is a penetration depth.
+    """Largest gap (a, b) [m] over the separating axes between a zonotopes and b others; negative is a
+    penetration depth.
 
     Gaps beyond FAR are not told apart.
 
@@ -140,13 +149,18 @@ def plane_separation(centres: Array, generators: Array, height: float) -> Array:
 
 
 def swept_separation(moving: Sequence[Hull], sweep: Array, fixed: Sequence[Hull]) -> float:
-    """Gap [m] between polytopes swept along `sweep` (3,) [m] and fixed ones; negative is a penetration depth."""
+    """Gap [m] between polytopes swept along `sweep` (3,) [m] and fixed ones; negative is a penetration
+    depth."""
     smallest = np.inf
     length = np.linalg.norm(sweep)
     line = sweep[None] / length if length > 0 else np.zeros((0, 3))
     for body in moving:
         edges = np.vstack([body.edges, line])
-        normals = np.vstack([body.axes, np.cross(line.repeat(len(body.edges), 0), body.edges)]) if length > 0 else body.axes
+        normals = (
+            np.vstack([body.axes, np.cross(line.repeat(len(body.edges), 0), body.edges)])
+            if length > 0
+            else body.axes
+        )
         low, high = body.bounds[0] + np.minimum(sweep, 0.0), body.bounds[1] + np.maximum(sweep, 0.0)
         for other in fixed:
             apart = float(np.maximum(other.bounds[0] - high, low - other.bounds[1]).max())

@@ -24,10 +24,11 @@ class Workpiece:
         faces: triangles (f, 3), outward by the right-hand rule.
         density: [kg/m3].
         friction: Coulomb coefficient against the other pieces and the support.
-        clearance: how much every face of the real body stands back from the nominal mesh [m]; two pieces fit with a gap of
-            twice that.
-        chamfer: by how much the edges of the real body are cut, along both of their faces [m]. Mass and inertia are still
-            those of the whole: what is missing is below one percent for chamfers up to a twentieth of a piece's thickness.
+        clearance: how much every face of the real body stands back from the nominal mesh [m]; two pieces fit
+            with a gap of twice that.
+        chamfer: by how much the edges of the real body are cut, along both of their faces [m]. Mass and
+            inertia are still those of the whole: what is missing is below one percent for chamfers up to a
+            twentieth of a piece's thickness.
         color: red, green, blue in 0..1, for pictures.
     """
 
@@ -88,10 +89,12 @@ class Workpiece:
 
     @cached_property
     def roughness(self) -> float:
-        """How far the parts may stand out of the body that is meant [m]: by its tessellation, and by its decomposition."""
+        """How far the parts may stand out of the body that is meant [m]: by its tessellation, and by its
+        decomposition."""
         return max((facet.sagitta for facet in self.facets), default=0.0) + self.decomposition.deviation
 
     @cached_property
     def body_parts(self) -> tuple[Hull, ...]:
-        """Convex polytopes of the real body: `parts` with every face of the body inset by the clearance; edges are whole."""
+        """Convex polytopes of the real body: `parts` with every face of the body inset by the clearance;
+        edges are whole."""
         return self.decomposition.inset(self.clearance)

@@ -1,4 +1,5 @@
-"""Whether this installation and this machine can do the job: what works, what does not, and what to do about it.
+"""Whether this installation and this machine can do the job: what works, what does not, and what to do about
+it.
 
 Uses nothing but the standard library until a check needs more, so that it can say what is missing.
 """
@@ -33,7 +34,7 @@ MODULES = {
     "ompl": "ompl.geometric",
     "pillow": "PIL",
     "pin": "pinocchio",
-    "pybullet": "soma_bullet.sim.quiet",  # which keeps it from talking
+    "pybullet": "soma_bullet.bullet.quiet",  # which keeps it from talking
 }
 RENDERER = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri"
 AGAIN = "install it again: pip install --force-reinstall"
@@ -66,12 +67,13 @@ Check = Callable[[], Iterator[Finding]]
 
 
 def doctor(arguments: list[str] | None = None) -> int:
-    """Entry point of `soma-doctor` and of scripts/doctor.py. Prints a table; returns 0 if all that is needed works, else 1."""
+    """Entry point of `soma-doctor` and of scripts/doctor.py. Prints a table; returns 0 if all that is needed
+    works, else 1."""
     parser = argparse.ArgumentParser(
         prog="soma-doctor",
-        description="Checks the installation and the machine, and says what is wrong and what to do about it. "
-        "Exit status: 0 if everything that is needed works (a warning is no fault), else 1.",
-    )  # fmt: skip
+        description="Checks the installation and the machine, and says what is wrong and what to do about "
+        "it. Exit status: 0 if everything that is needed works (a warning is no fault), else 1.",
+    )
     parser.parse_args(arguments)
     start = time.perf_counter()
     findings = list(examine())
@@ -94,7 +96,8 @@ def examine() -> Iterator[Finding]:
                 name,
                 "bad",
                 _said(error),
-                "if a line above explains it, mend that first; if none does, this is a fault of the package: report it",
+                "if a line above explains it, mend that first; if none does, this is a fault of the "
+                "package: report it",
             )
 
 
@@ -108,7 +111,9 @@ def table(findings: list[Finding]) -> str:
         says = textwrap.wrap(finding.says, WIDTH - len(indent)) or [""]
         lines.append(f"{finding.what:<{width}}  {marks[finding.state]:<9}{says[0]}")
         lines += [indent + line for line in says[1:]]
-        lines += textwrap.wrap(finding.advice, WIDTH, initial_indent=indent + "-> ", subsequent_indent=indent + "   ")
+        lines += textwrap.wrap(
+            finding.advice, WIDTH, initial_indent=indent + "-> ", subsequent_indent=indent + "   "
+        )
     return "\n".join(lines) + "\n"
 
 
@@ -117,7 +122,7 @@ def _said(error: BaseException) -> str:
     return f"{type(error).__name__}: {text[0]}" if text else type(error).__name__
 
 
-# --- the machine -------------------------------------------------------------------------------------------------------
+# --- the machine --------------------------------------------------------------------------------------------
 
 
 def check_machine() -> Iterator[Finding]:
@@ -128,7 +133,11 @@ def check_machine() -> Iterator[Finding]:
     yield Finding("cores", "good" if not advice else "warning", says, advice)
     memory = _memory()
     if memory is not None:
-        advice = "" if memory >= MEMORY else f"evaluate with --jobs 1; an episode takes about 1 GB, a film {MEMORY:.0f} GB"
+        advice = (
+            ""
+            if memory >= MEMORY
+            else f"evaluate with --jobs 1; an episode takes about 1 GB, a film {MEMORY:.0f} GB"
+        )
         yield Finding("memory", "good" if not advice else "warning", f"{memory:.1f} GB free", advice)
 
 
@@ -144,7 +153,12 @@ def check_folders() -> Iterator[Finding]:
     from soma_bullet.planner.store import store_folder
 
     for what, folder, state, advice in (
-        ("folder of kept plans", store_folder(), "warning", "every run plans afresh; set XDG_CACHE_HOME to a folder of yours"),
+        (
+            "folder of kept plans",
+            store_folder(),
+            "warning",
+            "every run plans afresh; set XDG_CACHE_HOME to a folder of yours",
+        ),
         ("scratch folder", Path(tempfile.gettempdir()), "bad", "set TMPDIR to a folder that can be written"),
     ):
         fault = _unwritable(folder)
@@ -162,14 +176,16 @@ def _unwritable(folder: Path) -> str:
         return f"cannot be written: {error.strerror}"
 
 
-# --- the installation --------------------------------------------------------------------------------------------------
+# --- the installation ---------------------------------------------------------------------------------------
 
 
 def check_python() -> Iterator[Finding]:
     """The interpreter."""
     good = sys.version_info[:2] == PYTHON and platform.python_implementation() == "CPython"
     says = f"{platform.python_implementation()} {platform.python_version()}, {sys.prefix}"
-    advice = "" if good else "pybullet has wheels for CPython 3.11 alone: make a virtual environment with that"
+    advice = (
+        "" if good else "pybullet has wheels for CPython 3.11 alone: make a virtual environment with that"
+    )
     yield Finding("python", "good" if good else "bad", says, advice)
 
 
@@ -195,7 +211,9 @@ def _package(name: str, requirement: str) -> Finding:
     except metadata.PackageNotFoundError:
         return Finding(name, "bad", "is not installed", f"pip install '{requirement}'")
     if not serves(version, requirement):
-        return Finding(name, "bad", f"{version} does not serve: {requirement} is needed", f"pip install '{requirement}'")
+        return Finding(
+            name, "bad", f"{version} does not serve: {requirement} is needed", f"pip install '{requirement}'"
+        )
     start = time.perf_counter()
     try:
         importlib.import_module(MODULES.get(name, name.replace("-", "_")))
@@ -205,7 +223,8 @@ def _package(name: str, requirement: str) -> Finding:
 
 
 def serves(version: str, requirement: str) -> bool:
-    """Whether a version keeps the bounds (>=, >, <=, <) of a requirement; bounds of other kinds are taken as kept."""
+    """Whether a version keeps the bounds (>=, >, <=, <) of a requirement; bounds of other kinds are taken as
+    kept."""
     has = _numbers(version)
     tests = {">=": has.__ge__, ">": has.__gt__, "<=": has.__le__, "<": has.__lt__}
     bounds = re.findall(r"(>=|<=|<|>)\s*([\d.]+)", requirement.split(";")[0])
@@ -218,7 +237,7 @@ def _numbers(version: str) -> tuple[int, ...]:
     return (*numbers, *[0] * (6 - len(numbers)))
 
 
-# --- what it can do ----------------------------------------------------------------------------------------------------
+# --- what it can do -----------------------------------------------------------------------------------------
 
 
 def check_robot() -> Iterator[Finding]:
@@ -237,12 +256,16 @@ def check_robot() -> Iterator[Finding]:
         off = max((float(np.abs(robot.tcp(arm, other) - pose).max()) for other in found), default=np.inf)
         back = len(found) > 0 and float(np.abs(found[0] - q).max()) < 1e-6
         good = back and off < REACH
-        says = f"{robot.arm(arm).name} arm at home: {len(found)} ways to reach its pose, all within {off:.0e} m"
+        says = (
+            f"{robot.arm(arm).name} arm at home: {len(found)} ways to reach its pose, all within {off:.0e} m"
+        )
         advice = "" if good else f"{AGAIN} eaik pin"
         yield Finding("inverse kinematics", "good" if good else "bad", says, advice)
     scene = workcell.scene({}, idle, 0)
     free = not scene.collides(workcell.configuration(idle, 0, robot.home[0]))
-    through = robot.home[0] + np.array([0.0, 1.2, 0.0, 0.0, 0.0, 0.0])  # [rad] the shoulder bends forward and down
+    through = robot.home[0] + np.array(
+        [0.0, 1.2, 0.0, 0.0, 0.0, 0.0]
+    )  # [rad] the shoulder bends forward and down
     hit = any(
         scene.collides(workcell.configuration(idle, 0, robot.home[0] + share * (through - robot.home[0])))
         for share in np.linspace(0.0, 2.0, 21)
@@ -257,25 +280,34 @@ def check_robot() -> Iterator[Finding]:
 
 
 def check_physics() -> Iterator[Finding]:
-    """PyBullet without a window, and a short run of the real world: what lies on the table must stay there."""
+    """PyBullet without a window, and a short run of the real world: what lies on the table must stay
+    there."""
     import numpy as np
 
     from soma_bullet.assembly.file import load_assembly
+    from soma_bullet.bullet.simulator import BulletSimulator
+    from soma_bullet.bullet.stage import Physics
     from soma_bullet.frames import apply, translate
     from soma_bullet.robot.cell import load_cell
-    from soma_bullet.sim.stage import Physics
-    from soma_bullet.sim.world import World
     from soma_bullet.task.workcell import Workcell
 
     assembly, cell = load_assembly("soma3"), load_cell(CELL)
     workcell = Workcell(assembly, cell)
     side, start = cell.feed_areas[0].mean(axis=1), time.perf_counter()
     poses = {}
-    for k, piece in enumerate(assembly.pieces):  # as their meshes are, one beside the other, a hair above the table
-        poses[piece.name] = translate(np.eye(4), (side[0], side[1] + 0.12 * (k - 1), 1e-4 - piece.vertices[:, 2].min()))
-    world = World(cell, assembly, workcell.robot.stand_size, poses, np.array(workcell.robot.home), Physics())
+    for k, piece in enumerate(
+        assembly.pieces
+    ):  # as their meshes are, one beside the other, a hair above the table
+        poses[piece.name] = translate(
+            np.eye(4), (side[0], side[1] + 0.12 * (k - 1), 1e-4 - piece.vertices[:, 2].min())
+        )
+    world = BulletSimulator(
+        cell, assembly, workcell.robot.stand_size, poses, np.array(workcell.robot.home), Physics()
+    )
     try:
-        yield Finding("pybullet, no window", "good", f"the cell is loaded in {time.perf_counter() - start:.1f} s")
+        yield Finding(
+            "pybullet, no window", "good", f"the cell is loaded in {time.perf_counter() - start:.1f} s"
+        )
         start, steps = time.perf_counter(), round(FALL / Physics().dt)
         for _ in range(steps):
             world.step()
@@ -310,24 +342,38 @@ def check_pictures() -> Iterator[Finding]:
             count = sum(1 for _ in container.decode(video=0))
     good = count == 3
     tool = shutil.which("ffmpeg")
-    says = f"H.264 by av {av.__version__}" + (f"; ffmpeg at {tool}" if tool else "; no ffmpeg on the path, and none is needed")
+    says = f"H.264 by av {av.__version__}" + (
+        f"; ffmpeg at {tool}" if tool else "; no ffmpeg on the path, and none is needed"
+    )
     yield Finding("video", "good" if good else "bad", says, "" if good else f"{AGAIN} av")
 
 
 def _renderer() -> Finding:
-    """In a process of its own: what draws is not of this package, and a faulty driver ends a process without a word."""
+    """In a process of its own: what draws is not of this package, and a faulty driver ends a process without
+    a word."""
     code = f"from {__name__} import draw_home; draw_home()"
     try:
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE, check=False)
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE, check=False
+        )
     except subprocess.TimeoutExpired:
-        return Finding("renderer", "bad", f"one picture took more than {PATIENCE} s", "film with --no-video; " + RENDERER)
+        return Finding(
+            "renderer", "bad", f"one picture took more than {PATIENCE} s", "film with --no-video; " + RENDERER
+        )
     lines = done.stdout.splitlines()
     if done.returncode or not lines:
         last = (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
-        return Finding("renderer", "bad", f"no picture: {last}", f"run episodes with --no-video, or: {RENDERER}")
+        return Finding(
+            "renderer", "bad", f"no picture: {last}", f"run episodes with --no-video, or: {RENDERER}"
+        )
     renderer, contrast, reason = lines[-1].split("|", 2)
     if float(contrast) < 1.0:
-        return Finding("renderer", "bad", f"{renderer} draws an empty picture", f"use --film.renderer tiny, or: {RENDERER}")
+        return Finding(
+            "renderer",
+            "bad",
+            f"{renderer} draws an empty picture",
+            f"use --film.renderer tiny, or: {RENDERER}",
+        )
     if renderer == "egl":
         return Finding("renderer", "good", "EGL draws")
     return Finding("renderer", "warning", f"PyBullet's own draws, which is slow: {reason}", RENDERER)
@@ -335,10 +381,10 @@ def _renderer() -> Finding:
 
 def draw_home() -> None:
     """Prints who drew a picture of the cell at home, its contrast, and why it was not EGL if it was not."""
+    from soma_bullet.pictures.camera import CAMERAS
+    from soma_bullet.pictures.studio import Studio
     from soma_bullet.robot.cell import load_cell
     from soma_bullet.robot.compose import compose_urdf
-    from soma_bullet.sim.camera import CAMERAS
-    from soma_bullet.sim.studio import Studio
 
     with tempfile.TemporaryDirectory() as folder:
         urdf = compose_urdf(load_cell(CELL), (0.1, 0.1), Path(folder) / "cell.urdf")

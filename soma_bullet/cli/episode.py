@@ -21,7 +21,8 @@ class FeedArguments:
     layout: Literal["random", "rows"] = "random"
     """random: anywhere in the feed areas, at any yaw; rows: spread out evenly, without yaw."""
     poses: Literal["all", "preferred"] = "all"
-    """all: in any pose in which a piece rests steadily; preferred: in that with the most grasps that serve at the goal too."""
+    """all: in any pose in which a piece rests steadily; preferred: in that with the most grasps that serve at
+    the goal too."""
     noise_mm: float = 0.0
     """One sigma of the error of the perceived places in x and y [mm]: pieces really lie elsewhere."""
     noise_deg: float = 0.0
@@ -35,7 +36,8 @@ class PhysicsArguments:
     substeps: int = 1
     """Time steps for each sample of a trajectory; trajectories are fed at 480 Hz."""
     solver: Literal["pgs", "dantzig"] = "pgs"
-    """pgs iterates, with a friction cone; dantzig solves contacts between pieces exactly, with a friction pyramid."""
+    """pgs iterates, with a friction cone; dantzig solves contacts between pieces exactly, with a friction
+    pyramid."""
     iterations: int = 60
     """Iterations of the solver a step; with fewer, gripped pieces slip."""
     grip_force: float | None = None
@@ -55,7 +57,8 @@ class ExecutionArguments:
     compliant: bool = True
     """The wrist's force guides insertions; --execution.no-compliant: they stop at the first touch."""
     recover: bool = True
-    """What does not go as planned is tried again where possible; --execution.no-recover: it ends the episode."""
+    """What does not go as planned is tried again where possible; --execution.no-recover: it ends the
+    episode."""
     longest: float = 900.0
     """Simulated time [s] after which an episode is ended."""
 
@@ -78,7 +81,8 @@ class VideoArguments:
 
 @dataclass(frozen=True)
 class RunArguments:
-    """Plans an assembly, builds it with two arms in contact physics, judges it by where the pieces end up, and films it.
+    """Plans an assembly, builds it with two arms in contact physics, judges it by where the pieces end up,
+    and films it.
 
     Exit status: 0 success; 1 the judge says no; 2 bad input; 3 no plan or no motion found (with the reasons).
     """
@@ -92,9 +96,11 @@ class RunArguments:
     seed: int = 0
     """Of everything random: feed, ties, planners. The same seed gives the same plan and the same episode."""
     out: Path | None = None
-    """Folder for plan.json, program.npz, log.npz, report.json, the video and a still [default: runs/<name of the assembly>]."""
+    """Folder for plan.json, program.npz, log.npz, report.json, the video and a still [default: runs/<name of
+    the assembly>]."""
     stability: Literal["equilibrium", "paper"] = "equilibrium"
-    """equilibrium: the whole placed set at once; paper: one piece against fixed neighbours. Holds follow equilibrium anyway."""
+    """equilibrium: the whole placed set at once; paper: one piece against fixed neighbours. Holds follow
+    equilibrium anyway."""
     video: bool = True
     """--no-video saves the time."""
     plan_only: bool = False
@@ -124,20 +130,22 @@ def _run(options: RunArguments) -> int:
 
     _check(options)
     from soma_bullet.assembly.file import load_assembly
+    from soma_bullet.bullet.stage import Physics
+    from soma_bullet.control.executive import ExecutionOptions
     from soma_bullet.episode import EpisodeOptions
     from soma_bullet.episode import run_episode as run
-    from soma_bullet.executive.executive import ExecutionOptions
+    from soma_bullet.judge.judge import Tolerance
+    from soma_bullet.pictures.film import FilmOptions
     from soma_bullet.planner.qualities import PlannerOptions
     from soma_bullet.report.report import print_report
-    from soma_bullet.sim.film import FilmOptions
-    from soma_bullet.sim.judge import Tolerance
-    from soma_bullet.sim.stage import Physics
     from soma_bullet.task.feed import FeedOptions
 
     console = Console(stderr=True)
     console.width = max(console.width, 110)  # a log file has no width of its own; the table needs this much
     video, physics = options.film, options.physics
-    film = FilmOptions(size=video.size, fps=video.fps, speed=video.speed, camera=video.camera, renderer=video.renderer)
+    film = FilmOptions(
+        size=video.size, fps=video.fps, speed=video.speed, camera=video.camera, renderer=video.renderer
+    )
     out = options.out or Path("runs") / load_assembly(options.assembly).name
     episode = EpisodeOptions(
         cell=options.cell,
@@ -198,11 +206,20 @@ def _check(options: RunArguments) -> None:
         0 < options.execution.longest <= 1e5,
         f"--execution.longest {options.execution.longest:g}: must be above 0 s and at most 1e5",
     )
-    demand(1 <= physics.iterations <= 10_000, f"--physics.iterations {physics.iterations}: must be from 1 to 10000")
+    demand(
+        1 <= physics.iterations <= 10_000,
+        f"--physics.iterations {physics.iterations}: must be from 1 to 10000",
+    )
     force = physics.grip_force
-    demand(force is None or (math.isfinite(force) and force > 0), f"--physics.grip-force {force}: must be positive")
+    demand(
+        force is None or (math.isfinite(force) and force > 0),
+        f"--physics.grip-force {force}: must be positive",
+    )
     for name, value in (("friction", physics.friction), ("mass", physics.mass)):
-        demand(math.isfinite(value) and 0 < value <= 10, f"--physics.{name} {value:g}: must be above 0 and at most 10")
+        demand(
+            math.isfinite(value) and 0 < value <= 10,
+            f"--physics.{name} {value:g}: must be above 0 and at most 10",
+        )
     if faults:
         raise InputError("arguments", faults)
 

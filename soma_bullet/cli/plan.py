@@ -13,15 +13,18 @@ from soma_bullet.cli.common import run_command
 
 @dataclass(frozen=True)
 class PlanArguments:
-    """Plans an assembly: order, assembly directions, grasps, and what has to be held meanwhile. No robot, no simulator.
+    """Plans an assembly: order, assembly directions, grasps, and what has to be held meanwhile. No robot, no
+    simulator.
 
     Exit status: 0 a plan was found; 2 bad input; 3 no plan exists (with what blocked it).
     """
 
     assembly: tyro.conf.Positional[str]
-    """An assembly file, or the name of one that comes with the package (soma3, soma4, cube, dowel, arch, ...)."""
+    """An assembly file, or the name of one that comes with the package (soma3, soma4, cube, dowel, arch,
+    ...)."""
     stability: str = "equilibrium"
-    """equilibrium: the whole placed set at once; paper: one piece against fixed neighbours; or your own, as module:function."""
+    """equilibrium: the whole placed set at once; paper: one piece against fixed neighbours; or your own, as
+    module:function."""
     hand: str = "ur5e_pair"
     """A hand.toml, a folder that has one, or the name of a cell whose hand it is."""
     hands: int = 2
@@ -31,7 +34,8 @@ class PlanArguments:
     seed: int = 0
     """Picks among orders of equal score."""
     analyzer: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """A further analyzer of steps: grounded (no piece is put into the air), or your own as module:function; repeatable."""
+    """A further analyzer of steps: grounded (no piece is put into the air), or your own as module:function;
+    repeatable."""
     push: float = 2.0
     """A hold must resist this force of the next insertion [N] ..."""
     disturbance: float = 0.1
@@ -83,12 +87,12 @@ def _run(options: PlanArguments) -> int:
                 console.print(explain_rows(error.rows, Tree(f"{assembly.name}: {error.summary}")))
             raise
         if options.figure is not None:
-            from soma_bullet.report.figure import draw_orders
+            from soma_bullet.pictures.figure import draw_orders
 
             status.update(f"drawing {options.figure}")
             draw_orders(assembly, hand, found, options.figure, options.rows, qualities)
         if options.exploded is not None:
-            from soma_bullet.report.exploded import draw_exploded
+            from soma_bullet.pictures.exploded import draw_exploded
 
             status.update(f"drawing {options.exploded}")
             draw_exploded(assembly, found, options.exploded)

@@ -1,1 +1,2 @@
-"""How often it works, and which of two works better: many episodes, their lines, their summary, their comparison."""
+"""How often it works, and which of two works better: many episodes, their lines, their summary, their
+comparison."""

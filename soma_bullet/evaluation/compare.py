@@ -1,8 +1,7 @@
 """Which of two: evaluation runs compared seed by seed, as whole episodes and insertion by insertion.
 
-Both runs see the same feeds, so what counts is where they differ: the exact McNemar test asks how likely so uneven a difference
-would be if neither run were better (Q. McNemar, 1947).
-"""
+Both runs see the same feeds, so what counts is where they differ: the exact McNemar test asks how likely so
+uneven a difference would be if neither run were better (Q. McNemar, 1947)."""
 
 from __future__ import annotations
 
@@ -58,8 +57,10 @@ class Insertions:
         rescued: of those that did not go in in A, how many did in B; spoilt: the other way round.
         unpaired: insertions that one run reached and the other did not.
         later: reached in both runs, after one that failed in either: nothing is the same from there on.
-        peak_a, peak_b: peak force of the paired ones [N]; neighbours_a, neighbours_b: motion of what was in place before [mm].
-        all_peak_a, all_peak_b, all_neighbours_a, all_neighbours_b: the same of every insertion of the paired episodes.
+        peak_a, peak_b: peak force of the paired ones [N]; neighbours_a, neighbours_b: motion of what was in
+            place before [mm].
+        all_peak_a, all_peak_b, all_neighbours_a, all_neighbours_b: the same of every insertion of the paired
+            episodes.
         compared: the pairs themselves.
     """
 
@@ -97,7 +98,8 @@ class EpisodePair:
 
     Attributes:
         cause_a, cause_b: of failure, empty on success.
-        makespan_a, makespan_b: [s]; worst_a, worst_b: displacement of the worst piece's centre of mass at the end [mm].
+        makespan_a, makespan_b: [s]; worst_a, worst_b: displacement of the worst piece's centre of mass at the
+            end [mm].
     """
 
     seed: int
@@ -171,13 +173,15 @@ def compare(a: Path, b: Path, any_assembly: bool = False) -> Comparison:
         rate_a=Rate.of(pairs.both + pairs.only_a, pairs.count),
         rate_b=Rate.of(pairs.both + pairs.only_b, pairs.count),
         makespan_s=contrast([(e.makespan_a, e.makespan_b) for e in episodes if e.success_a and e.success_b]),
-        worst_mm=contrast([(e.worst_a, e.worst_b) for e in episodes if np.isfinite([e.worst_a, e.worst_b]).all()]),
+        worst_mm=contrast(
+            [(e.worst_a, e.worst_b) for e in episodes if np.isfinite([e.worst_a, e.worst_b]).all()]
+        ),
         insertions=_insertions(paired),
         episodes=episodes,
     )
 
 
-# --- reading -----------------------------------------------------------------------------------------------------------
+# --- reading ------------------------------------------------------------------------------------------------
 
 
 def _lines(place: Path) -> dict[int, Line]:
@@ -187,18 +191,25 @@ def _lines(place: Path) -> dict[int, Line]:
     lines = {line["seed"]: line for line in read_lines(file)}
     if not lines:
         raise InputError(str(file), "has no lines")
-    if not all({"assembly", "digest", "options", "versions", "episode", "success"} <= line.keys() for line in lines.values()):
+    if not all(
+        {"assembly", "digest", "options", "versions", "episode", "success"} <= line.keys()
+        for line in lines.values()
+    ):
         raise InputError(str(file), "is not of this version of the package: its lines lack what is compared")
     return lines
 
 
-def _check_assemblies(a: Path, b: Path, mine: Iterable[Line], theirs: Iterable[Line], any_assembly: bool) -> None:
+def _check_assemblies(
+    a: Path, b: Path, mine: Iterable[Line], theirs: Iterable[Line], any_assembly: bool
+) -> None:
     kinds = []
     for place, lines in ((a, list(mine)), (b, list(theirs))):
         digests = {line["digest"] for line in lines}
         if len(digests) > 1:
             raise InputError(str(place), f"holds lines of {len(digests)} different assemblies")
-        names = next((tuple(sorted(p["name"] for p in line["pieces"])) for line in lines if line.get("pieces")), None)
+        names = next(
+            (tuple(sorted(p["name"] for p in line["pieces"])) for line in lines if line.get("pieces")), None
+        )
         kinds.append((lines[0]["assembly"], digests.pop(), names))
     (name_a, digest_a, pieces_a), (name_b, digest_b, pieces_b) = kinds
     if digest_a == digest_b:
@@ -211,15 +222,21 @@ def _check_assemblies(a: Path, b: Path, mine: Iterable[Line], theirs: Iterable[L
 
 
 def _differences(paired: Sequence[tuple[Line, Line]]) -> Iterator[Difference]:
-    """In what the runs differ: options by their names on the command line, then what else of the episodes is not the same."""
+    """In what the runs differ: options by their names on the command line, then what else of the episodes is
+    not the same."""
     parts: tuple[dict[str, Difference], ...] = ({}, {}, {})
     for one, other in paired:
         whole = ({"assembly": one["digest"][:12]}, {"assembly": other["digest"][:12]})
-        versions = [{f"version of {name}": v for name, v in line["versions"].items()} for line in (one, other)]
+        versions = [
+            {f"version of {name}": v for name, v in line["versions"].items()} for line in (one, other)
+        ]
         _note(parts[0], one["options"], other["options"])
         _note(parts[1], *(_flat(line["episode"]) for line in (one, other)))
         _note(parts[2], {**whole[0], **versions[0]}, {**whole[1], **versions[1]})
-        _note(parts[2], *({f"drawn {name}": v for name, v in line.get("drawn", {}).items()} for line in (one, other)))
+        _note(
+            parts[2],
+            *({f"drawn {name}": v for name, v in line.get("drawn", {}).items()} for line in (one, other)),
+        )
     said = {name.lstrip("-") for name in parts[0]}
     yield from parts[0].values()
     yield from (d for name, d in parts[1].items() if name not in PER_SEED and name.split(".")[-1] not in said)
@@ -230,7 +247,9 @@ def _note(found: dict[str, Difference], a: Mapping[str, Any], b: Mapping[str, An
     """Add what differs between two mappings, if it is not there yet."""
     for name in dict.fromkeys([*a, *b]):
         if a.get(name, "not given") != b.get(name, "not given"):
-            found.setdefault(name, Difference(name, str(a.get(name, "not given")), str(b.get(name, "not given"))))
+            found.setdefault(
+                name, Difference(name, str(a.get(name, "not given")), str(b.get(name, "not given")))
+            )
 
 
 def _flat(tree: Mapping[str, Any], path: str = "") -> dict[str, Any]:
@@ -240,7 +259,7 @@ def _flat(tree: Mapping[str, Any], path: str = "") -> dict[str, Any]:
     return flat
 
 
-# --- episodes ----------------------------------------------------------------------------------------------------------
+# --- episodes -----------------------------------------------------------------------------------------------
 
 
 def _episode(a: Line, b: Line) -> EpisodePair:
@@ -250,7 +269,7 @@ def _episode(a: Line, b: Line) -> EpisodePair:
     return EpisodePair(a["seed"], *well, str(a.get("cause", "")), str(b.get("cause", "")), *makespans, *worst)
 
 
-# --- insertions --------------------------------------------------------------------------------------------------------
+# --- insertions ---------------------------------------------------------------------------------------------
 
 
 def _attempts(line: Line) -> dict[str, Attempt]:
@@ -283,7 +302,9 @@ def _insertions(paired: Sequence[tuple[Line, Line]]) -> Insertions | None:
     everything = [[attempt for lines in paired for attempt in _attempts(lines[k]).values()] for k in (0, 1)]
     mine, theirs = [pair.a for pair in compared], [pair.b for pair in compared]
     peaks = [extremes([attempt.peak_n for attempt in group]) for group in (mine, theirs, *everything)]
-    neighbours = [extremes([attempt.neighbours_mm for attempt in group]) for group in (mine, theirs, *everything)]
+    neighbours = [
+        extremes([attempt.neighbours_mm for attempt in group]) for group in (mine, theirs, *everything)
+    ]
     return Insertions(
         pairs=pairs,
         p=pairs.p,
@@ -293,7 +314,13 @@ def _insertions(paired: Sequence[tuple[Line, Line]]) -> Insertions | None:
         spoilt=Rate.of(pairs.only_a, pairs.only_a + pairs.neither),
         unpaired=unpaired,
         later=later,
-        peak_a=peaks[0], peak_b=peaks[1], all_peak_a=peaks[2], all_peak_b=peaks[3],
-        neighbours_a=neighbours[0], neighbours_b=neighbours[1], all_neighbours_a=neighbours[2], all_neighbours_b=neighbours[3],
+        peak_a=peaks[0],
+        peak_b=peaks[1],
+        all_peak_a=peaks[2],
+        all_peak_b=peaks[3],
+        neighbours_a=neighbours[0],
+        neighbours_b=neighbours[1],
+        all_neighbours_a=neighbours[2],
+        all_neighbours_b=neighbours[3],
         compared=tuple(compared),
-    )  # fmt: skip
+    )

@@ -1,7 +1,7 @@
 """How often: seeded episodes in worker processes, one line each, and a summary with its interval.
 
-A run can be interrupted and resumed; its lines and its summary do not depend on the number of workers, nor on who runs them.
-"""
+A run can be interrupted and resumed; its lines and its summary do not depend on the number of workers, nor on
+who runs them."""
 
 from __future__ import annotations
 
@@ -47,13 +47,14 @@ def evaluate(
     backend: Literal["processes", "ray"] = "processes",
     episode: Episode = run_line,
 ) -> tuple[dict[str, Any], list[Line]]:
-    """Run what is missing in `out`/episodes.jsonl, write it in the order of seeds, and write and return summary and lines.
+    """Run what is missing in `out`/episodes.jsonl, write it in the order of seeds, and write and return
+    summary and lines.
 
     Args:
         jobs: worker processes.
         watch: who is told of every line.
-        backend: who runs the episodes: processes of this machine, or a cluster (or this machine) by ray, where the assembly's
-            file must lie at the same place.
+        backend: who runs the episodes: processes of this machine, or a cluster (or this machine) by ray,
+            where the assembly's file must lie at the same place.
         episode: runs one; a function of a module.
 
     Raises:
@@ -77,7 +78,12 @@ def evaluate(
                 watch.done(line)
         write_lines(file, lines)
     chosen = [lines[seed] for seed in options.seeds]
-    what = {"assembly": options.assembly, "digest": digest, "options": options.conditions(), "versions": chosen[0]["versions"]}
+    what = {
+        "assembly": options.assembly,
+        "digest": digest,
+        "options": options.conditions(),
+        "versions": chosen[0]["versions"],
+    }
     summary = {**what, **summarise(chosen)}
     write_summary(out, summary)
     return summary, chosen
@@ -86,10 +92,14 @@ def evaluate(
 def _check(options: EvaluationOptions, backend: str) -> str:
     """Refuse bad input before any worker starts; returns the assembly's digest."""
     if backend == "ray" and util.find_spec("ray") is None:
-        raise InputError("--backend ray", "ray is not installed; `pip install 'soma_bullet[ray]'` installs it")
+        raise InputError(
+            "--backend ray", "ray is not installed; `pip install 'soma_bullet[ray]'` installs it"
+        )
     strange = sorted(set(options.vary) - set(VARIED))
     if strange:
-        raise InputError("--vary", f"{', '.join(map(repr, strange))}: must be of {', '.join(VARIED)}, or none")
+        raise InputError(
+            "--vary", f"{', '.join(map(repr, strange))}: must be of {', '.join(VARIED)}, or none"
+        )
     digest = load_assembly(options.assembly).digest
     load_cell(options.cell)
     if options.hand is not None:

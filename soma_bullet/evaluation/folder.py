@@ -39,7 +39,9 @@ def check_lines(lines: Iterable[Line], options: EvaluationOptions, digest: str, 
     for line in lines:
         there = line.get("options", {})
         if not {"digest", "options", "versions"} <= line.keys():
-            raise InputError(str(out / LINES), "was written by an older version of this package; choose another --out")
+            raise InputError(
+                str(out / LINES), "was written by an older version of this package; choose another --out"
+            )
         faults = []
         if line["digest"] != digest:
             before, now = f"{line['assembly']} ({line['digest'][:12]})", f"{options.assembly} ({digest[:12]})"
@@ -69,7 +71,8 @@ def make_folder(out: Path) -> None:
 
 
 def read_lines(file: Path) -> list[Line]:
-    """The lines of an evaluation, the later one where a seed has two; what an interruption cut off is left out."""
+    """The lines of an evaluation, the later one where a seed has two; what an interruption cut off is left
+    out."""
     if not file.is_file():
         return []
     found: dict[int, Line] = {}

@@ -15,25 +15,30 @@ from cattrs import Converter
 from cattrs.errors import BaseValidationError
 
 from soma_bullet.assembly.file import load_assembly
+from soma_bullet.bullet.stage import Physics
+from soma_bullet.control.executive import ExecutionOptions
 from soma_bullet.episode import EpisodeOptions, run_episode
 from soma_bullet.errors import InputError, NoSolutionError
 from soma_bullet.evaluation.options import EvaluationOptions, draw, episode_options
-from soma_bullet.executive.executive import ExecutionOptions
+from soma_bullet.judge.judge import Judgement, Tolerance
 from soma_bullet.planner.qualities import PlannerOptions
 from soma_bullet.records import package_versions, read_npz, to_tree
 from soma_bullet.report.report import EpisodeReport
-from soma_bullet.sim.judge import Judgement, Tolerance
-from soma_bullet.sim.log import ExecutionLog
-from soma_bullet.sim.stage import Physics
 from soma_bullet.task.feed import FeedOptions
+from soma_bullet.world.log import ExecutionLog
 
 Line = dict[str, Any]  # what one episode came to
-PATIENCE = 20_000  # reports of progress of one episode, after which it is stopped; an ordinary one makes some hundreds
+# reports of progress of one episode, after which it is stopped; an ordinary one makes some hundreds
+PATIENCE = 20_000
 FIXED_VERSIONS = ("soma_bullet", "pybullet")  # lines of different ones are not mixed
 DIGITS = 4  # of the numbers in a line
 EPISODE_PARTS = {
-    "planner": PlannerOptions, "feed": FeedOptions, "execution": ExecutionOptions, "physics": Physics, "tolerance": Tolerance,
-}  # fmt: skip
+    "planner": PlannerOptions,
+    "feed": FeedOptions,
+    "execution": ExecutionOptions,
+    "physics": Physics,
+    "tolerance": Tolerance,
+}
 # which causes a text stands for, first match first
 CAUSES = (
     (" jammed in ", "jammed"), (" lost in ", "lost"), (" fell", "fell"), ("cannot be made", "no motion"),
@@ -46,7 +51,8 @@ class EndlessError(Exception):
 
 
 class _Patience:
-    """Counts reports of progress, not seconds: what becomes of an episode must not depend on the load of the machine."""
+    """Counts reports of progress, not seconds: what becomes of an episode must not depend on the load of the
+    machine."""
 
     def __init__(self) -> None:
         self.reports = 0
@@ -72,7 +78,9 @@ def blank_line(seed: int, options: EvaluationOptions) -> Line:
         "options": options.conditions(),
         "drawn": draw(seed, options),
         "versions": {name: versions[name] for name in FIXED_VERSIONS},
-        "episode": {part.name: to_tree(getattr(episode, part.name)) for part in fields(episode) if part.name != "film"},
+        "episode": {
+            part.name: to_tree(getattr(episode, part.name)) for part in fields(episode) if part.name != "film"
+        },
         "success": False,
         "cause": "",
         "causes": [],
@@ -155,7 +163,9 @@ def options_of(line: Line, source: str) -> EpisodeOptions:
     """The options of an episode from its line. Raises InputError."""
     converter, tree = Converter(forbid_extra_keys=True), dict(line.get("episode", {}))
     try:
-        parts: dict[str, Any] = {name: converter.structure(tree.pop(name), kind) for name, kind in EPISODE_PARTS.items()}
+        parts: dict[str, Any] = {
+            name: converter.structure(tree.pop(name), kind) for name, kind in EPISODE_PARTS.items()
+        }
         return EpisodeOptions(**tree, **parts)
     except (BaseValidationError, KeyError, TypeError, ValueError) as error:
         fault = f"the options of seed {line['seed']} are not of this version of the package: {error}"

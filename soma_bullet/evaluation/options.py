@@ -7,12 +7,12 @@ from typing import Any, Literal
 
 import numpy as np
 
+from soma_bullet.bullet.stage import Physics
+from soma_bullet.control.executive import ExecutionOptions
 from soma_bullet.episode import EpisodeOptions
-from soma_bullet.executive.executive import ExecutionOptions
+from soma_bullet.judge.judge import Tolerance
 from soma_bullet.planner.qualities import PlannerOptions
 from soma_bullet.records import to_tree
-from soma_bullet.sim.judge import Tolerance
-from soma_bullet.sim.stage import Physics
 from soma_bullet.task.feed import FeedOptions
 
 VARIED = ("friction", "mass", "perception", "feed")
@@ -23,8 +23,10 @@ class Spread:
     """By how much what varies does.
 
     Attributes:
-        friction, mass: largest relative deviation of the factor on all friction coefficients, and on all masses; uniform.
-        mm, deg: one sigma of the error of the perceived places [mm] and yaws [deg]; of uniform errors the largest.
+        friction, mass: largest relative deviation of the factor on all friction coefficients, and on all
+            masses; uniform.
+        mm, deg: one sigma of the error of the perceived places [mm] and yaws [deg]; of uniform errors the
+            largest.
         errors: how these are spread; square: whether pieces are squared against them. See FeedOptions.
     """
 
@@ -44,7 +46,8 @@ class EvaluationOptions:
         assembly: file or name.
         episodes: how many; their seeds follow on from `seed`.
         seed: of the first episode.
-        vary: what differs from episode to episode, of VARIED; without `feed` pieces lie in their preferred resting poses.
+        vary: what differs from episode to episode, of VARIED; without `feed` pieces lie in their preferred
+            resting poses.
         spread: by how much.
         cell, hand, stability, tolerance, execution, ablate: see EpisodeOptions.
     """
@@ -69,9 +72,13 @@ class EvaluationOptions:
     def conditions(self) -> dict[str, Any]:
         """All that a line depends on beside assembly, seed and versions, by the names of the command line."""
         vary = [name for name in VARIED if name in self.vary]
-        spread = {f"--spread.{name}": getattr(self.spread, name) for name in ("friction", "mass") if name in vary}
+        spread = {
+            f"--spread.{name}": getattr(self.spread, name) for name in ("friction", "mass") if name in vary
+        }
         if "perception" in vary:
-            spread |= {f"--spread.{name}": getattr(self.spread, name) for name in ("mm", "deg", "errors", "square")}
+            spread |= {
+                f"--spread.{name}": getattr(self.spread, name) for name in ("mm", "deg", "errors", "square")
+            }
         return {
             "--vary": ",".join(vary) or "none",
             **spread,
@@ -101,7 +108,9 @@ def episode_options(seed: int, options: EvaluationOptions) -> EpisodeOptions:
     drawn, spread = draw(seed, options), options.spread
     feed = FeedOptions(poses="all" if "feed" in options.vary else "preferred")
     if "perception" in options.vary:
-        feed = replace(feed, noise_mm=spread.mm, noise_deg=spread.deg, errors=spread.errors, square=spread.square)
+        feed = replace(
+            feed, noise_mm=spread.mm, noise_deg=spread.deg, errors=spread.errors, square=spread.square
+        )
     return EpisodeOptions(
         cell=options.cell,
         hand=options.hand,

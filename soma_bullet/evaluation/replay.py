@@ -12,7 +12,7 @@ from soma_bullet.evaluation.folder import LINES, make_folder, read_lines
 from soma_bullet.evaluation.line import Line, options_of, outcome
 from soma_bullet.evaluation.options import EvaluationOptions
 from soma_bullet.evaluation.workers import in_processes
-from soma_bullet.sim.film import FilmOptions
+from soma_bullet.pictures.film import FilmOptions
 
 
 @dataclass(frozen=True)
@@ -25,13 +25,15 @@ class Replay:
 
     @property
     def same(self) -> bool:
-        """Whether every pose of every piece was the same; where nothing was executed, whether it ended alike."""
+        """Whether every pose of every piece was the same; where nothing was executed, whether it ended
+        alike."""
         keys = ("log_sha256", "success", "cause")
         return all(self.before.get(key) == self.after.get(key) for key in keys)
 
 
 def replay(assembly: str, seed: int, out: Path, film: FilmOptions | None) -> Replay:
-    """Run the episode of one line of `out`/episodes.jsonl again, under that line's conditions, into `out`/replay_SEED.
+    """Run the episode of one line of `out`/episodes.jsonl again, under that line's conditions, into
+    `out`/replay_SEED.
 
     Raises:
         InputError: there is no such line, or it was made of another assembly.
@@ -41,7 +43,9 @@ def replay(assembly: str, seed: int, out: Path, film: FilmOptions | None) -> Rep
         raise InputError("--replay", f"{out / LINES} has no line of seed {seed}")
     digest = load_assembly(assembly).digest
     if line.get("digest") != digest:
-        raise InputError("--replay", f"that line was made of another assembly: {line.get('assembly')}, not {assembly}")
+        raise InputError(
+            "--replay", f"that line was made of another assembly: {line.get('assembly')}, not {assembly}"
+        )
     episode, folder = options_of(line, str(out / LINES)), out / f"replay_{seed}"
     make_folder(folder)
     for name in ("log.npz", "program.npz", "plan.json", "report.json", "episode.mp4", "still.png"):

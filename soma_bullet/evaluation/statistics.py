@@ -1,4 +1,5 @@
-"""How sure a rate is, and a difference between two runs that saw the same: intervals and the exact McNemar test."""
+"""How sure a rate is, and a difference between two runs that saw the same: intervals and the exact McNemar
+test."""
 
 from __future__ import annotations
 
@@ -43,7 +44,9 @@ class Pairs:
     def of(outcomes: Iterable[tuple[bool, bool]]) -> Pairs:
         """Counted from (well in A, well in B)."""
         found = list(outcomes)
-        return Pairs(*(found.count(kind) for kind in ((True, True), (True, False), (False, True), (False, False))))
+        return Pairs(
+            *(found.count(kind) for kind in ((True, True), (True, False), (False, True), (False, False)))
+        )
 
 
 @dataclass(frozen=True)
@@ -68,7 +71,8 @@ class Contrast:
     Attributes:
         count: of pairs.
         median_a, median_b: NaN where there are none; difference: the median of B less A.
-        low, high: 95 % interval of that median, from order statistics; infinite where there are too few pairs.
+        low, high: 95 % interval of that median, from order statistics; infinite where there are too few
+            pairs.
     """
 
     count: int
@@ -95,10 +99,13 @@ def contrast(values: Sequence[tuple[float, float]]) -> Contrast:
         return Contrast(0, np.nan, np.nan, np.nan, -np.inf, np.inf)
     a, b = np.array(values, float).T
     difference, count = np.sort(b - a), len(values)
-    # as many values below the median as a fair coin gives heads: the interval leaves out at most 2.5 % on each side
+    # as many values below the median as a fair coin gives heads: the interval leaves out at most 2.5 % on
+    # each side
     out = int(binom.ppf((1.0 - CONFIDENCE) / 2, count, 0.5)) - 1
     low, high = (difference[out], difference[-1 - out]) if out >= 0 else (-np.inf, np.inf)
-    return Contrast(count, float(np.median(a)), float(np.median(b)), float(np.median(difference)), float(low), float(high))
+    return Contrast(
+        count, float(np.median(a)), float(np.median(b)), float(np.median(difference)), float(low), float(high)
+    )
 
 
 def extremes(values: Sequence[float]) -> Extremes:

@@ -1,4 +1,5 @@
-"""The numbers of an evaluation: the success rate with its interval, causes of failure, and how every measure is spread."""
+"""The numbers of an evaluation: the success rate with its interval, causes of failure, and how every measure
+is spread."""
 
 from __future__ import annotations
 
@@ -40,7 +41,9 @@ def summarise(lines: Sequence[Line]) -> dict[str, Any]:
         "success_rate": round(len(good) / len(lines), DIGITS),
         "interval_95": wilson(len(good), len(lines)),
         "causes": dict(sorted(causes.items(), key=lambda item: (-item[1], item[0]))),
-        "failed_seeds": {cause: [line["seed"] for line in bad if line["cause"] == cause] for cause in sorted(causes)},
+        "failed_seeds": {
+            cause: [line["seed"] for line in bad if line["cause"] == cause] for cause in sorted(causes)
+        },
         "seeds": [line["seed"] for line in lines],
         "recoveries": sum(line.get("recoveries", 0) for line in lines),
         "retries": sum(line.get("retries", 0) for line in lines),
@@ -60,7 +63,9 @@ def _numbers(lines: Sequence[Line]) -> dict[str, Any]:
     }
     planned = [line["planned_s"] for line in lines if "together" in line.get("planned_s", ())]
     saved = {
-        name: _spread([100.0 * (1.0 - times["together"] / times[against]) for times in planned if against in times])
+        name: _spread(
+            [100.0 * (1.0 - times["together"] / times[against]) for times in planned if against in times]
+        )
         for name, against in SAVED.items()
     }
     makespans = [line["makespan_s"] for line in lines if "makespan_s" in line]
@@ -78,4 +83,6 @@ def _spread(values: Sequence[float]) -> dict[str, float]:
         return {"count": 0}
     median, p95 = np.percentile(values, [50, 95])
     mean, largest = float(np.mean(values)), float(max(values))
-    return rounded({"count": len(values), "mean": mean, "median": float(median), "p95": float(p95), "max": largest})
+    return rounded(
+        {"count": len(values), "mean": mean, "median": float(median), "p95": float(p95), "max": largest}
+    )

@@ -43,7 +43,10 @@ def in_processes(seeds: Sequence[int], options: EvaluationOptions, jobs: int, ep
                     line = crashed_line(seed, options, f"its process died ({_exit_reason(process.exitcode)})")
                 yield line
     finally:
-        for connection, process in [*idle, *((connection, process) for connection, (process, _) in busy.items())]:
+        for connection, process in [
+            *idle,
+            *((connection, process) for connection, (process, _) in busy.items()),
+        ]:
             connection.close()
             process.terminate()
             process.join()
@@ -67,7 +70,8 @@ def _new_worker(episode: Episode, options: EvaluationOptions) -> tuple[Connectio
 
 @contextmanager
 def _inherited() -> Iterator[None]:
-    """What a new process takes over: one thread for linear algebra, and that Ctrl-C is for its parent to deal with.
+    """What a new process takes over: one thread for linear algebra, and that Ctrl-C is for its parent to deal
+    with.
 
     Blocked, not ignored: one that comes just now reaches the parent when the block ends.
     """
@@ -113,7 +117,13 @@ def on_ray(seeds: Sequence[int], options: EvaluationOptions, jobs: int, episode:
 
     address = os.environ.get("RAY_ADDRESS")
     local: dict[str, Any] = {} if address else {"num_cpus": jobs, "object_store_memory": 100 * 2**20}
-    ray.init(address=address or "local", include_dashboard=False, log_to_driver=False, logging_level=logging.ERROR, **local)
+    ray.init(
+        address=address or "local",
+        include_dashboard=False,
+        log_to_driver=False,
+        logging_level=logging.ERROR,
+        **local,
+    )
     try:
         remote = ray.remote(max_retries=0, num_cpus=1)(_guarded)
         waiting, busy = deque(seeds), dict[Any, int]()

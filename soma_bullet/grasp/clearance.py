@@ -1,4 +1,5 @@
-"""Clearance of the hand: its boxes at many grasps, along the way out and along an insertion, in one call each."""
+"""Clearance of the hand: its boxes at many grasps, along the way out and along an insertion, in one call
+each."""
 
 from __future__ import annotations
 
@@ -35,7 +36,9 @@ class HandSweep:
     def separation(self, hulls: Sequence[Hull]) -> Array:
         """Smallest gap (n,) [m] between any box and any polytope; negative is a penetration."""
         boxes, grasps, generators, _ = self.generators.shape
-        gaps = zonotope_separation(self.centres.reshape(-1, 3), self.generators.reshape(-1, generators, 3), hulls)
+        gaps = zonotope_separation(
+            self.centres.reshape(-1, 3), self.generators.reshape(-1, generators, 3), hulls
+        )
         return gaps.reshape(boxes, grasps).min(axis=0)
 
     def take(self, hands: slice) -> HandSweep:
@@ -44,7 +47,10 @@ class HandSweep:
 
     def above(self, height: float) -> Array:
         """Smallest gap (n,) [m] to the half-space below `height`."""
-        return np.min([plane_separation(c, g, height) for c, g in zip(self.centres, self.generators, strict=True)], axis=0)
+        return np.min(
+            [plane_separation(c, g, height) for c, g in zip(self.centres, self.generators, strict=True)],
+            axis=0,
+        )
 
 
 def sweep_hand(
@@ -82,7 +88,8 @@ def sweep_hand(
 
 
 def _swept_box(box: Box, x_low: Array, x_high: Array, way_out: float) -> tuple[Array, Array]:
-    """A hand box whose x travels over [x_low, x_high] (n,) and whose z reaches back by way_out: centres, generators."""
+    """A hand box whose x travels over [x_low, x_high] (n,) and whose z reaches back by way_out: centres,
+    generators."""
     n = len(x_low)
     centre = np.tile(box.T[:3, 3], (n, 1))
     centre[:, 0] += (x_low + x_high) / 2
@@ -105,9 +112,16 @@ def hands_clear(first: HandSweep, second: HandSweep) -> Mask:
     """Which of a swept hands keep their margin to which of b others: bool (a, b)."""
     (boxes_a, a), (boxes_b, b) = first.centres.shape[:2], second.centres.shape[:2]
     if boxes_a * a * boxes_b * b > MOST_PAIRS and a > 1:  # in two halves
-        return np.vstack([hands_clear(first.take(slice(a // 2)), second), hands_clear(first.take(slice(a // 2, a)), second)])
+        return np.vstack(
+            [
+                hands_clear(first.take(slice(a // 2)), second),
+                hands_clear(first.take(slice(a // 2, a)), second),
+            ]
+        )
     # every box of either in one call
-    flat = [(s.centres.reshape(-1, 3), s.generators.reshape(-1, *s.generators.shape[2:])) for s in (first, second)]
+    flat = [
+        (s.centres.reshape(-1, 3), s.generators.reshape(-1, *s.generators.shape[2:])) for s in (first, second)
+    ]
     gaps = pair_separation(flat[0], flat[1]).reshape(boxes_a, a, boxes_b, b)
     return np.asarray(gaps.min(axis=(0, 2)) > MARGIN)
 
@@ -125,10 +139,11 @@ def hand_hulls(hand: Hand, T_tcp: Array, width: float) -> list[Hull]:
 
 
 def clear_of_piece(hand: Hand, Ts_tcp: Array, widths: Array, parts: Sequence[Hull]) -> Mask:
-    """Which of n grasps (TCP poses in the parts' frame) keep the hand out of the gripped piece itself: bool (n,).
+    """Which of n grasps (TCP poses in the parts' frame) keep the hand out of the gripped piece itself: bool
+    (n,).
 
-    Only the pads touch it: the flank of a finger along another face would drag the piece along when the hand opens.
-    """
+    Only the pads touch it: the flank of a finger along another face would drag the piece along when the hand
+    opens."""
     return sweep_hand(hand, Ts_tcp, widths, gap=MARGIN).separation(parts) > MARGIN - TOUCH
 
 

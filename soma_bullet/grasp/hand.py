@@ -1,7 +1,7 @@
 """The hand as geometry: a parallel gripper described by a TOML file and a URDF.
 
-The TCP lies midway between the pads' centres: z towards the workpiece, x the closing axis (first finger at +x), y = z x x.
-"""
+The TCP lies midway between the pads' centres: z towards the workpiece, x the closing axis (first finger at
++x), y = z x x."""
 
 from __future__ import annotations
 
@@ -35,7 +35,8 @@ class Hand:
     """A parallel hand. Lengths in m, forces in N; link and joint names as in its URDF, without any prefix.
 
     Attributes:
-        finger_links, finger_joints: the finger at +x of the TCP first; a positive joint value opens its finger.
+        finger_links, finger_joints: the finger at +x of the TCP first; a positive joint value opens its
+            finger.
         opening: widest distance between the pads; each finger joint takes half of it.
         pad_size (2,): along y and z of the TCP.
         T_mount_tcp (4, 4): the TCP seen from the mount link, which sits on the arm's tool link.
@@ -97,26 +98,42 @@ def load_hand(path: Path | str) -> Hand:
     T_mount_tcp, boxes = _geometry(path, urdf, names, finger_joints, opening)
     finger_size = [2 * np.abs(box.T[1:3, :3]) @ box.half for box in (*boxes[1], *boxes[2])]
     if (pad_size > np.max(finger_size, axis=0) + 1e-9).any():
-        faults.append(f"grip.pad_size: {pad_size * 1e3} mm exceeds the fingers, {np.max(finger_size, axis=0) * 1e3} mm")
+        faults.append(
+            f"grip.pad_size: {pad_size * 1e3} mm exceeds the fingers, {np.max(finger_size, axis=0) * 1e3} mm"
+        )
     gaps = [
         min(float(side * box.T[0, 3] - np.abs(box.T[0, :3]) @ box.half) for box in part)
         for side, part in ((1.0, boxes[1]), (-1.0, boxes[2]))
     ]
     if np.abs(gaps).max() > 1e-6:
-        faults.append(f"urdf: closed fingers must touch at x = 0 of the tcp, they are {np.array(gaps) * 1e3} mm from it")
+        faults.append(
+            f"urdf: closed fingers must touch at x = 0 of the tcp, they are {np.array(gaps) * 1e3} mm from it"
+        )
     if faults:
         raise InputError(str(path), faults)
     return Hand(
-        name, urdf.resolve(), mount, palm, (finger_links[0], finger_links[1]), (finger_joints[0], finger_joints[1]),
-        tcp, opening, readonly(pad_size),
-        friction, force, (float(low), float(high)), readonly(T_mount_tcp), *boxes,
-    )  # fmt: skip
+        name,
+        urdf.resolve(),
+        mount,
+        palm,
+        (finger_links[0], finger_links[1]),
+        (finger_joints[0], finger_joints[1]),
+        tcp,
+        opening,
+        readonly(pad_size),
+        friction,
+        force,
+        (float(low), float(high)),
+        readonly(T_mount_tcp),
+        *boxes,
+    )
 
 
 def _geometry(
     path: Path, urdf: Path, names: tuple[str, ...], finger_joints: tuple[str, ...], opening: float
 ) -> tuple[Array, tuple[tuple[Box, ...], ...]]:
-    """T_mount_tcp and the boxes of palm, left and right finger in the TCP frame, from the URDF's collision geometry."""
+    """T_mount_tcp and the boxes of palm, left and right finger in the TCP frame, from the URDF's collision
+    geometry."""
     import yourdfpy
 
     try:
@@ -142,9 +159,14 @@ def _geometry(
         joint = model.joint_map[name]
         axis = model.get_transform(joint.child, tcp)[:3, :3] @ joint.axis
         if not np.allclose(axis, (sign, 0, 0), atol=1e-6):
-            faults.append(f"joints.fingers: {name} must open towards {'+' if sign > 0 else '-'}x of the tcp, not {axis}")
+            faults.append(
+                f"joints.fingers: {name} must open towards {'+' if sign > 0 else '-'}x of the tcp, not {axis}"
+            )
     boxes = tuple(
-        tuple(_box(model.get_transform(link, tcp), shape, urdf, faults) for shape in model.link_map[link].collisions)
+        tuple(
+            _box(model.get_transform(link, tcp), shape, urdf, faults)
+            for shape in model.link_map[link].collisions
+        )
         for link in (palm, left, right)
     )
     faults += [
@@ -172,5 +194,9 @@ def _box(T_tcp_link: Array, collision: Any, urdf: Path, faults: list[str]) -> Bo
     if not file.is_file():
         faults.append(f"{urdf.name}: mesh {shape.mesh.filename!r} not found, tried {file}")
         return Box(readonly(np.eye(4)), readonly(np.zeros(3)))
-    low, high = trimesh.load(file, force="mesh").bounds * (1.0 if shape.mesh.scale is None else shape.mesh.scale)
-    return Box(readonly(T_tcp_shape @ make_transform(translation=(low + high) / 2)), readonly((high - low) / 2))
+    low, high = trimesh.load(file, force="mesh").bounds * (
+        1.0 if shape.mesh.scale is None else shape.mesh.scale
+    )
+    return Box(
+        readonly(T_tcp_shape @ make_transform(translation=(low + high) / 2)), readonly((high - low) / 2)
+    )

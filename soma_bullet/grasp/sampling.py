@@ -1,4 +1,5 @@
-"""Antipodal grasps on opposite facets, flat or of a curved face (paper Sec. IV-C: find facets, sample them, pair them)."""
+"""Antipodal grasps on opposite facets, flat or of a curved face (paper Sec. IV-C: find facets, sample them,
+pair them)."""
 
 from __future__ import annotations
 
@@ -26,7 +27,8 @@ class SamplingOptions:
     Attributes:
         spacing: largest step of the grid on a facet pair's overlap [m].
         rolls: hand orientations about the closing axis.
-        smallest_contact: fraction of the pad that must lie on both facets; of its length where they are curved.
+        smallest_contact: fraction of the pad that must lie on both facets; of its length where they are
+            curved.
         smallest_width: [m] a thinner piece is not gripped.
         opening_margin: [m] a side that must remain between the open hand and the piece.
     """
@@ -57,7 +59,9 @@ class GraspSet:
 
     def take(self, indices: Indices) -> GraspSet:
         """The grasps at `indices`, in that order."""
-        return GraspSet(*(readonly(field[indices]) for field in (self.Ts_piece_tcp, self.widths, self.contact)))
+        return GraspSet(
+            *(readonly(field[indices]) for field in (self.Ts_piece_tcp, self.widths, self.contact))
+        )
 
     @cached_property
     def centre_distance(self) -> Array:
@@ -68,8 +72,8 @@ class GraspSet:
 def sample_grasps(piece: Workpiece, hand: Hand, options: SamplingOptions | None = None) -> GraspSet:
     """All antipodal grasps of `piece` that `hand` can close on, whatever is around it.
 
-    The set depends on the piece and the hand alone (a grid, no random numbers), so that qualities of orders compare.
-    """
+    The set depends on the piece and the hand alone (a grid, no random numbers), so that qualities of orders
+    compare."""
     options = options or SamplingOptions()
     friction = np.sqrt(piece.friction * hand.pad_friction)
     widest = hand.opening - 2 * options.opening_margin
@@ -97,11 +101,16 @@ def sample_grasps(piece: Workpiece, hand: Hand, options: SamplingOptions | None 
                     transforms.append(transform)
                     widths.append(width)
                     contacts.append(part)
-    return GraspSet(readonly(np.array(transforms).reshape(-1, 4, 4)), readonly(np.array(widths)), readonly(np.array(contacts)))
+    return GraspSet(
+        readonly(np.array(transforms).reshape(-1, 4, 4)),
+        readonly(np.array(widths)),
+        readonly(np.array(contacts)),
+    )
 
 
 def _orientation(facet: Facet, roll: float) -> Array:
-    """Columns: closing axis along the facet's normal, and the approach direction at `roll` [rad] in the facet's basis."""
+    """Columns: closing axis along the facet's normal, and the approach direction at `roll` [rad] in the
+    facet's basis."""
     approach = np.cos(roll) * facet.basis[0] + np.sin(roll) * facet.basis[1]
     return np.column_stack([facet.normal, np.cross(approach, facet.normal), approach])
 
@@ -109,16 +118,19 @@ def _orientation(facet: Facet, roll: float) -> Array:
 def _pad_placements(
     overlap: shapely.Geometry, pad_size: Array, options: SamplingOptions, curved: bool
 ) -> list[tuple[Array, float, Array]]:
-    """For each roll: grid points (k, 2) on the overlap, the roll [rad], and the fraction of the pad that lies on it (k,).
+    """For each roll: grid points (k, 2) on the overlap, the roll [rad], and the fraction of the pad that lies
+    on it (k,).
 
-    On a curved face a pad touches along a line: its length counts, and as a contact it is worth the patch that twists like it.
-    """
+    On a curved face a pad touches along a line: its length counts, and as a contact it is worth the patch
+    that twists like it."""
     low, high = np.array(overlap.bounds[:2]), np.array(overlap.bounds[2:])
     axes = [_ticks(low[k], high[k], options.spacing) for k in range(2)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     grid = grid[shapely.contains_xy(overlap.buffer(1e-7), grid[:, 0], grid[:, 1])]
     width, height = pad_size  # y and z of the hand
-    pad = shapely.box(-height / 2, -width / 2, height / 2, width / 2)  # drawn with the approach along the first axis
+    pad = shapely.box(
+        -height / 2, -width / 2, height / 2, width / 2
+    )  # drawn with the approach along the first axis
     placements = []
     for k in range(options.rolls):
         roll = 2 * np.pi * k / options.rolls
@@ -136,6 +148,7 @@ def _pad_placements(
 
 
 def _ticks(low: float, high: float, spacing: float) -> Array:
-    """Points of [low, high] at most `spacing` apart, symmetric about the middle, half a step from the ends."""
+    """Points of [low, high] at most `spacing` apart, symmetric about the middle, half a step from the
+    ends."""
     count = max(1, int(np.ceil(round((high - low) / spacing, 6))))
     return low + (np.arange(count) + 0.5) * (high - low) / count

@@ -1,4 +1,5 @@
-"""Straight Cartesian lines of the hand on one inverse-kinematics branch: approach, lift, insertion, retreat."""
+"""Straight Cartesian lines of the hand on one inverse-kinematics branch: approach, lift, insertion,
+retreat."""
 
 from __future__ import annotations
 
@@ -20,7 +21,8 @@ class LineError(Exception):
     """No line.
 
     Attributes:
-        cause: `unreachable` (also where only joints beyond their limits reach), `branch` (a joint jumps) or `collision`.
+        cause: `unreachable` (also where only joints beyond their limits reach), `branch` (a joint jumps) or
+            `collision`.
         at: distance from where the tracing began [m].
         q: the joints (6,) that fail, where there are any.
     """
@@ -30,8 +32,11 @@ class LineError(Exception):
         self.cause, self.at, self.q = cause, at, q
 
 
-def line_back(robot: Robot, arm: int, q_end: Array, T_world_tcp: Array, away: Array, length: float, collides: Check) -> Array:
-    """Joints (n, 6) of a line that ends at q_end, traced backwards along the unit vector `away` (3,) for `length` [m].
+def line_back(
+    robot: Robot, arm: int, q_end: Array, T_world_tcp: Array, away: Array, length: float, collides: Check
+) -> Array:
+    """Joints (n, 6) of a line that ends at q_end, traced backwards along the unit vector `away` (3,) for
+    `length` [m].
 
     Returns them in the order of tracing: q_end first. The orientation of the hand stays.
 
@@ -58,8 +63,11 @@ def _step(robot: Robot, arm: int, previous: Array, T_world_tcp: Array, away: Arr
     return q
 
 
-def sample_line(robot: Robot, arm: int, q_start: Array, offset: Array, spacing: float = SPACING) -> tuple[Array, Array]:
-    """Joints (n, 6) along a straight line of the hand from q_start by `offset` (3,) [m], and the distance of each (n,) [m].
+def sample_line(
+    robot: Robot, arm: int, q_start: Array, offset: Array, spacing: float = SPACING
+) -> tuple[Array, Array]:
+    """Joints (n, 6) along a straight line of the hand from q_start by `offset` (3,) [m], and the distance of
+    each (n,) [m].
 
     Raises:
         LineError: the line leaves the reach or the branch.

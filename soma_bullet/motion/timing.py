@@ -77,7 +77,9 @@ def time_path(
     timed = _Timed(spline, instance.problem_data.gridpoints, instance.problem_data.sd_vec)
     stretch = _stretch(timed, velocity, acceleration)
     if stretch > LARGEST_STRETCH:
-        raise TimingError(f"the timed trajectory would have to be {stretch:.1f} times slower to keep the limits")
+        raise TimingError(
+            f"the timed trajectory would have to be {stretch:.1f} times slower to keep the limits"
+        )
     steps = max(1, int(np.ceil(timed.duration * stretch / dt)))
     times = np.linspace(0, timed.duration, steps + 1)  # stretched by less than one step more
     samples = timed.positions(times)[:, : path.shape[1]]
@@ -92,11 +94,15 @@ def _straight(points: Array) -> bool:
     if squared < 1e-18:
         return False
     along = (points - points[0]) @ whole / squared
-    return bool(np.diff(along).min() >= -1e-12 and np.abs(points - points[0] - along[:, None] * whole).max() < STRAIGHT)
+    return bool(
+        np.diff(along).min() >= -1e-12
+        and np.abs(points - points[0] - along[:, None] * whole).max() < STRAIGHT
+    )
 
 
 def _trapezoid(start: Array, end: Array, velocity: Array, acceleration: Array, dt: float) -> Array:
-    """Samples (n, j) of the fastest motion along the line between two points (j,): at once up to speed, and down again."""
+    """Samples (n, j) of the fastest motion along the line between two points (j,): at once up to speed, and
+    down again."""
     whole = np.abs(end - start)
     moves = whole > 0
     speed = float((velocity[moves] / whole[moves]).min())  # [1/s] of the place from 0 to 1
@@ -126,7 +132,8 @@ def _limits(velocity: tuple[float, ...], acceleration: tuple[float, ...]) -> tup
 
 
 class _Timed:
-    """A path (a spline) gone along with constant acceleration between grid points, all at once what toppra does one by one.
+    """A path (a spline) gone along with constant acceleration between grid points, all at once what toppra
+    does one by one.
 
     Args:
         grid: places along the path (n,); speeds: of the place there (n,) [1/s].
@@ -157,7 +164,8 @@ class _Timed:
 
 
 def _stretch(timed: _Timed, velocity: Array, acceleration: Array) -> float:
-    """Factor by which a trajectory must be slowed down to keep its limits everywhere at 1 kHz: 1 where it does."""
+    """Factor by which a trajectory must be slowed down to keep its limits everywhere at 1 kHz: 1 where it
+    does."""
     times = np.linspace(0, timed.duration, max(2, int(timed.duration * 1000)))
     velocities, accelerations = timed.rates_of_change(times)
     speed = (np.abs(velocities[:, : len(velocity)]) / velocity).max()

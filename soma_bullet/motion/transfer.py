@@ -1,8 +1,8 @@
 """Collision-free joint paths between two configurations of one arm.
 
-A straight edge to the nearest goal first, then RRT-Connect (J. Kuffner, S. LaValle, ICRA 2000; OMPL), then random shortcuts and
-blended corners. Bounded by a count of checks, never by a clock: the same seed gives the same path.
-"""
+A straight edge to the nearest goal first, then RRT-Connect (J. Kuffner, S. LaValle, ICRA 2000; OMPL), then
+random shortcuts and blended corners. Bounded by a count of checks, never by a clock: the same seed gives the
+same path."""
 
 from __future__ import annotations
 
@@ -47,7 +47,8 @@ class TransferOptions:
 
 
 def edge_free(start: Array, end: Array, collides: Check, step: float = EDGE_STEP) -> bool:
-    """Whether the straight joint edge between two configurations (6,) is free; its start is taken as checked."""
+    """Whether the straight joint edge between two configurations (6,) is free; its start is taken as
+    checked."""
     count = max(1, int(np.ceil(np.abs(end - start).max() / step)))
     return not any(collides(q) for q in start + (end - start) * _far_halves_first(count))
 
@@ -59,7 +60,9 @@ def _far_halves_first(count: int) -> Array:
     return readonly(np.array(order)[:, None] / count)
 
 
-def plan_transfer(start: Array, goals: Array, lower: Array, upper: Array, collides: Check, options: TransferOptions) -> Array:
+def plan_transfer(
+    start: Array, goals: Array, lower: Array, upper: Array, collides: Check, options: TransferOptions
+) -> Array:
     """Waypoints (m, 6) from `start` (6,) to one of `goals` (k, 6).
 
     Args:
@@ -81,7 +84,9 @@ def plan_transfer(start: Array, goals: Array, lower: Array, upper: Array, collid
     return _shortcut(path, collides, np.random.default_rng(options.seed), options.step)
 
 
-def _rrt_connect(start: Array, goals: Array, lower: Array, upper: Array, collides: Check, options: TransferOptions) -> Array:
+def _rrt_connect(
+    start: Array, goals: Array, lower: Array, upper: Array, collides: Check, options: TransferOptions
+) -> Array:
     from ompl import base as ob
     from ompl import geometric as og
     from ompl import util as ou
@@ -157,7 +162,9 @@ def _without_crumbs(path: Array, collides: Check, step: float) -> Array:
     points = list(_without_repeats(path))
     k = 1
     while k < len(points) - 1:
-        short = min(np.abs(points[k] - points[k - 1]).max(), np.abs(points[k + 1] - points[k]).max()) < 2 * BLEND
+        short = (
+            min(np.abs(points[k] - points[k - 1]).max(), np.abs(points[k + 1] - points[k]).max()) < 2 * BLEND
+        )
         if short and edge_free(points[k - 1], points[k + 1], collides, step):
             del points[k]
         else:

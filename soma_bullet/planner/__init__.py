@@ -1,1 +1,2 @@
-"""The assembly planner: stability, graspability, assemblability and assisting support of every order, and the best one."""
+"""The assembly planner: stability, graspability, assemblability and assisting support of every order, and the
+best one."""

@@ -1,15 +1,15 @@
-"""The analyzers: what judges a state of the assembly, or the insertion of one piece, each behind one function.
+"""The analyzers: what judges a state of the assembly, or the insertion of one piece, each behind one
+function.
 
-An analyzer of your own is a function with one of the two signatures, in any module that can be imported; it is named as
-`module:function`. It sees the same `Qualities` as those of the planner and may build on them.
+An analyzer of your own is a function with one of the two signatures, in any module that can be imported; it
+is named as `module:function`. It sees the same `Qualities` as those of the planner and may build on them.
 
-    def reach(qualities, placed, piece):            # a step: how well `piece` goes into the placed set
-        height = qualities.assembly.goal_centres[piece][2]
-        return Judgement(1.0) if height < 0.4 else Judgement(0.0, f"its goal is {height:.2f} m up, the arm reaches 0.40 m")
+    def reach(qualities, placed, piece):            # a step: how well `piece` goes into the placed set height
+        = qualities.assembly.goal_centres[piece][2] return Judgement(1.0) if height < 0.4 else Judgement(0.0,
+        f"its goal is {height:.2f} m up, the arm reaches 0.40 m")
 
-A quality of 0 rules the step or the state out, and its reason is reported; every other enters the score by its minimum over the
-order (paper Sec. IV-G).
-"""
+A quality of 0 rules the step or the state out, and its reason is reported; every other enters the score by
+its minimum over the order (paper Sec. IV-G)."""
 
 from __future__ import annotations
 
@@ -46,7 +46,9 @@ class Judgement:
         return self.quality > 0.0
 
 
-StepAnalyzer = Callable[["Qualities", "Placed", int], Judgement]  # qualities, placed set without the piece, piece
+StepAnalyzer = Callable[
+    ["Qualities", "Placed", int], Judgement
+]  # qualities, placed set without the piece, piece
 StateAnalyzer = Callable[["Qualities", "Placed", "Placed"], Judgement]  # qualities, placed set, held pieces
 
 
@@ -62,7 +64,8 @@ def _resists(margin: float, sides: float) -> str:
 
 
 def graspability(qualities: Qualities, placed: Placed, piece: int) -> Judgement:
-    """G: the number of grasps whose hand, way in and way out are clear of the placed set and the support (paper Sec. IV-C)."""
+    """G: the number of grasps whose hand, way in and way out are clear of the placed set and the support
+    (paper Sec. IV-C)."""
     count = qualities.graspability(piece, placed)
     if count:
         return Judgement(float(count))
@@ -79,7 +82,8 @@ def assemblability(qualities: Qualities, placed: Placed, piece: int) -> Judgemen
 
 
 def grounded(qualities: Qualities, placed: Placed, piece: int) -> Judgement:
-    """Rules out that a piece is put into the air, with nothing below it, and held there until something is slid under it.
+    """Rules out that a piece is put into the air, with nothing below it, and held there until something is
+    slid under it.
 
     Not part of the paper's score; ask for it by name.
     """
@@ -88,14 +92,18 @@ def grounded(qualities: Qualities, placed: Placed, piece: int) -> Judgement:
     return Judgement(0.0, "would hang in the air: nothing that is placed carries it")
 
 
-STEPS: dict[str, StepAnalyzer] = {"graspability": graspability, "assemblability": assemblability}  # of every plan
+STEPS: dict[str, StepAnalyzer] = {
+    "graspability": graspability,
+    "assemblability": assemblability,
+}  # of every plan
 FURTHER: dict[str, StepAnalyzer] = {"grounded": grounded}
 STATES: dict[str, StateAnalyzer] = {"equilibrium": equilibrium}
 PAPER = "paper"  # judges single pieces; its holds follow from their qualities (paper Sec. IV-F)
 
 
 def state_analyzer(name: str) -> StateAnalyzer:
-    """The stability analyzer of that name; paper mode's holds are judged by equilibrium. Raises InputError."""
+    """The stability analyzer of that name; paper mode's holds are judged by equilibrium. Raises
+    InputError."""
     return _found(name, STATES | {PAPER: equilibrium}, "stability")
 
 
@@ -109,7 +117,10 @@ def _found(name: str, known: dict[str, Any], option: str) -> Any:
         return known[name]
     module, _, function = name.partition(":")
     if not function:
-        raise InputError(f"--{option}", f"{name!r} is not known; there are {', '.join(known)}, and your own as module:function")
+        raise InputError(
+            f"--{option}",
+            f"{name!r} is not known; there are {', '.join(known)}, and your own as module:function",
+        )
     try:
         found = getattr(importlib.import_module(module), function)
     except ImportError as error:

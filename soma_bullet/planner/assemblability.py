@@ -1,8 +1,7 @@
 """Assemblability: how freely a piece goes in, and along which direction (paper Sec. IV-E; nine types).
 
-Contact normals n_i into the piece leave the legal removal directions C = {d : n_i . d >= 0}. The type is (dimension of C,
-dimension of its lineality space); the best direction maximises the smallest n_i . d.
-"""
+Contact normals n_i into the piece leave the legal removal directions C = {d : n_i . d >= 0}. The type is
+(dimension of C, dimension of its lineality space); the best direction maximises the smallest n_i . d."""
 
 from __future__ import annotations
 
@@ -29,9 +28,17 @@ IN_SPAN = 1 - 1e-9  # length of a unit vector, projected, that counts as lying i
 PENETRATION = 1e-4  # [m] a sweep may touch but not enter
 
 TYPES = {
-    (3, 3): "free", (3, 2): "plane", (3, 1): "wedge", (3, 0): "corner", (2, 2): "slot", (2, 1): "slot + bottom",
-    (2, 0): "slot + bottom + wall", (1, 1): "peg through", (1, 0): "peg blind", (0, 0): "locked",
-}  # fmt: skip
+    (3, 3): "free",
+    (3, 2): "plane",
+    (3, 1): "wedge",
+    (3, 0): "corner",
+    (2, 2): "slot",
+    (2, 1): "slot + bottom",
+    (2, 0): "slot + bottom + wall",
+    (1, 1): "peg through",
+    (1, 0): "peg blind",
+    (0, 0): "locked",
+}
 ORDINAL = {
     "free": np.inf, "plane": 10.0, "wedge": 10.0, "corner": 10.0, "slot": 9.0, "slot + bottom": 3.0,
     "slot + bottom + wall": 3.0, "peg through": 2.0, "peg blind": 1.0, "locked": 0.0,
@@ -84,11 +91,12 @@ def snap_normals(normals: Array) -> Array:
 
 
 def widest_direction(normals: Array) -> tuple[Array, float]:
-    """The unit d (3,) with the largest min n_i . d over unit normals (n, 3), and that clearance; below 0 where none is legal.
+    """The unit d (3,) with the largest min n_i . d over unit normals (n, 3), and that clearance; below 0
+    where none is legal.
 
-    At the best d up to three of the n_i . d are smallest, and equal: each choice of them gives one candidate. (The point of
-    conv{n_i} nearest to the origin is t* d; non-negative least squares finds it too, but fails on dependent normals.)
-    """
+    At the best d up to three of the n_i . d are smallest, and equal: each choice of them gives one candidate.
+    (The point of conv{n_i} nearest to the origin is t* d; non-negative least squares finds it too, but fails
+    on dependent normals.)"""
     candidates = [normals]
     for count in (2, 3):
         chosen = np.array(list(itertools.combinations(range(len(normals)), count)), int).reshape(-1, count)
@@ -105,7 +113,8 @@ def analyse_freedom(normals: Array, axes: Array | None = None, rank: Rank | None
     """Classify contact normals (n, 3), each pointing into the piece.
 
     Args:
-        axes: directions (k, 3) that are tried where the contacts leave a choice; those of the frame by default.
+        axes: directions (k, 3) that are tried where the contacts leave a choice; those of the frame by
+            default.
         rank: of equally free directions the one of the smallest rank is best.
     """
     axes = np.eye(3) if axes is None else axes
@@ -130,11 +139,14 @@ def analyse_freedom(normals: Array, axes: Array | None = None, rank: Rank | None
     if not len(span):
         return Freedom("locked", 0.0, None, np.zeros((0, 3)), span)
     best = _freest(span, axes, rank)
-    return Freedom(TYPES[len(span), len(span)], 1.0, best, _alternatives(best, np.zeros((0, 3)), span, axes, rank), span)
+    return Freedom(
+        TYPES[len(span), len(span)], 1.0, best, _alternatives(best, np.zeros((0, 3)), span, axes, rank), span
+    )
 
 
 def _freest(span: Array, axes: Array, rank: Rank) -> Array:
-    """Of the directions of a span (m, 3), all equally free: upwards where that is one, else the axis of the smallest rank."""
+    """Of the directions of a span (m, 3), all equally free: upwards where that is one, else the axis of the
+    smallest rank."""
     inside = [d for d in (UP, *axes, *-axes) if np.linalg.norm(span @ d) > IN_SPAN]
     if inside and inside[0] is UP:
         return UP
@@ -142,7 +154,8 @@ def _freest(span: Array, axes: Array, rank: Rank) -> Array:
 
 
 def _facing(normals: Array, span: Array) -> Mask:
-    """Which of the unit normals (n, 3), all in the span (m, 3), every legal d of the span meets at a right angle."""
+    """Which of the unit normals (n, 3), all in the span (m, 3), every legal d of the span meets at a right
+    angle."""
     rays = [*span, *_complement(span, normals)]
     if len(span) == 3:
         along = [normals, _complement(span, normals)]
@@ -217,9 +230,10 @@ def analyse_assemblability(
         placed_parts: convex parts of every placed piece at its goal.
         scale: `finite` or `ordinal` values.
         support: height of the support plane [m].
-        slack: for each placed piece how far the parts of both may stand out of the bodies that they stand for [m].
-        axes: directions (k, 3) that are tried where the contacts leave a choice: the piece's own, not those of the frame, so
-            that the way in turns with everything; by default the face normals of its parts.
+        slack: for each placed piece how far the parts of both may stand out of the bodies that they stand for
+            [m].
+        axes: directions (k, 3) that are tried where the contacts leave a choice: the piece's own, not those
+            of the frame, so that the way in turns with everything; by default the face normals of its parts.
         rank: orders directions that the contacts leave equally free.
     """
     normals = np.array([c.normal for c in contacts]).reshape(-1, 3)

@@ -33,8 +33,8 @@ class Hold:
 
     Attributes:
         piece: its name.
-        grasps: indices of the assisting grasps in the piece's table: clear of the placed set, the support, the next piece, its
-            way and the hand that brings it.
+        grasps: indices of the assisting grasps in the piece's table: clear of the placed set, the support,
+            the next piece, its way and the hand that brings it.
         taken: the hand takes a placed piece; otherwise it stays on what it put down, or goes on holding.
         grasp: index of the assisting grasp with the largest margin among those that were certified.
         certificate: what that grasp can take.
@@ -56,7 +56,8 @@ class PlanStep:
         direction: unit assembly direction in the assembly frame.
         way: length of the straight way in [m].
         type: contact type.
-        grasps: indices of the candidate grasps in the piece's table: clear on the way in, at the goal and on the way out.
+        grasps: indices of the candidate grasps in the piece's table: clear on the way in, at the goal and on
+            the way out.
         holds: what equilibrium asks to hold afterwards.
         verdict, margin, margin_sides: equilibrium of the state with the holds [g].
     """
@@ -118,8 +119,8 @@ class AssemblyPlan:
         steps: one for each piece of the order.
         alternatives: the next best orders, where more than one was asked for.
         grasps: one table a piece.
-        orders: the row of every order, best first; of more than MOST_ENUMERATED pieces the best orders alone. Their holds are
-            certified in the chosen order and its alternatives only.
+        orders: the row of every order, best first; of more than MOST_ENUMERATED pieces the best orders alone.
+            Their holds are certified in the chosen order and its alternatives only.
         optimality: what the search guarantees.
         ties: orders whose score equals the best one's; the seed picks among those with the fewest holds.
         warnings: sentences.

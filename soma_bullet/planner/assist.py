@@ -1,9 +1,10 @@
-"""What an assisting grasp can take: the certificate of a hold (paper Sec. IV-F asks for the grasp; this shows that it holds).
+"""What an assisting grasp can take: the certificate of a hold (paper Sec. IV-F asks for the grasp; this shows
+that it holds).
 
-The held piece is a body like the others; its hand is two pad patches that react within pad friction and the grip force. The
-pads share twice the grip force: one may take more while the other takes less. The margin is the factor by which the specified
-load could grow: a horizontal disturbance of every placed piece and the push of the next insertion, on top of gravity.
-"""
+The held piece is a body like the others; its hand is two pad patches that react within pad friction and the
+grip force. The pads share twice the grip force: one may take more while the other takes less. The margin is
+the factor by which the specified load could grow: a horizontal disturbance of every placed piece and the push
+of the next insertion, on top of gravity."""
 
 from __future__ import annotations
 
@@ -22,8 +23,8 @@ from soma_bullet.planner.equilibrium import (
 )
 from soma_bullet.planner.programs import RayProgram
 
-# A pad's pressure is spread out: four points at the mean distance of a square's points from its centre twist like the patch,
-# (sqrt(2) + asinh(1)) / 6 of its side.
+# A pad's pressure is spread out: four points at the mean distance of a square's points from its centre twist
+# like the patch, (sqrt(2) + asinh(1)) / 6 of its side.
 PATCH = (np.sqrt(2) + np.arcsinh(1.0)) / 6
 GRAVITY = 9.81  # [m/s2]
 
@@ -121,7 +122,8 @@ def _pad_columns(hand: Hand, T_tcp: Array, com: Array, friction: float, contact:
         angles = 2 * np.pi * np.arange(PYRAMID) / PYRAMID
         forces = normal + friction * (np.cos(angles)[:, None] * t + np.sin(angles)[:, None] * b)
         for y, z in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-            # the gap between the pads does not matter for the moment of a pair of pads: both act at their own plane
+            # the gap between the pads does not matter for the moment of a pair of pads: both act at their own
+            # plane
             point = T_tcp[:3, 3] + y * reach[0] * T_tcp[:3, 1] + z * reach[1] * T_tcp[:3, 2]
             wrenches.append(np.hstack([forces, np.cross(point - com, forces)]))
     return np.vstack(wrenches).T
@@ -130,7 +132,8 @@ def _pad_columns(hand: Hand, T_tcp: Array, com: Array, friction: float, contact:
 def _insertion_push(
     assembly: Assembly, bodies: list[int], upcoming: int | None, direction: Array | None, force: float
 ) -> Array:
-    """Wrench (bodies, 6) of the next piece pressing along its direction on the placed pieces that it will touch.
+    """Wrench (bodies, 6) of the next piece pressing along its direction on the placed pieces that it will
+    touch.
 
     They share it by area.
     """

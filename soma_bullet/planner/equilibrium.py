@@ -1,12 +1,12 @@
 """Static equilibrium of a whole placed set, and how much horizontal acceleration it resists.
 
-Every placed piece is free except the held ones; contacts push and rub with action and reaction on every patch. The margin is
-the smallest, over horizontal directions, of the largest acceleration t (in g) for which contact forces in equilibrium exist:
-A lambda + w + t D(theta) = 0, lambda >= 0. These accelerations fill a convex polygon, whose corners are found as needed.
+Every placed piece is free except the held ones; contacts push and rub with action and reaction on every
+patch. The margin is the smallest, over horizontal directions, of the largest acceleration t (in g) for which
+contact forces in equilibrium exist: A lambda + w + t D(theta) = 0, lambda >= 0. These accelerations fill a
+convex polygon, whose corners are found as needed.
 
-Source of the formulation: E. Whiting, J. Ochsendorf, F. Durand, "Procedural modeling of structurally-sound masonry
-buildings", SIGGRAPH Asia 2009 (rigid blocks, linearised friction).
-"""
+Source of the formulation: E. Whiting, J. Ochsendorf, F. Durand, "Procedural modeling of structurally-sound
+masonry buildings", SIGGRAPH Asia 2009 (rigid blocks, linearised friction)."""
 
 from __future__ import annotations
 
@@ -29,8 +29,9 @@ Verdict = Literal["robust", "clearance-dependent", "unstable"]
 
 SIDE = 0.1  # |n_z| below this is a side contact
 PYRAMID = 12  # sides of the friction pyramid; its radius is the mean of inscribed and circumscribed
-# A contact that stays open when the pieces have settled closes once one of them leans by the opening. The margin must allow for
-# that lean: twice, since a body that starts to tip overshoots, in each of a stack of three.
+# A contact that stays open when the pieces have settled closes once one of them leans by the opening. The
+# margin must allow for that lean: twice, since a body that starts to tip overshoots, in each of a stack of
+# three.
 LEAN = 6.0
 DIRECTIONS = 24  # horizontal directions of the assembly frame
 CLOSED = 1e-6  # [m] a smaller opening is none
@@ -42,8 +43,8 @@ class StateStability:
     """Stability of a placed set.
 
     Attributes:
-        verdict: robust without side contacts, clearance-dependent where it takes frictionless side contacts, or contacts that
-            the fit clearance leaves open, else unstable.
+        verdict: robust without side contacts, clearance-dependent where it takes frictionless side contacts,
+            or contacts that the fit clearance leaves open, else unstable.
         margin: horizontal acceleration resisted without side contacts [g].
         margin_sides: ... with frictionless side contacts [g].
     """
@@ -54,7 +55,8 @@ class StateStability:
 
     @property
     def quality(self) -> float:
-        """The S that enters the score: robust up to 1 g; every clearance-dependent value lies below every robust one."""
+        """The S that enters the score: robust up to 1 g; every clearance-dependent value lies below every
+        robust one."""
         if self.verdict == "robust":
             return min(self.margin, 1.0)
         if self.verdict == "clearance-dependent":
@@ -62,8 +64,11 @@ class StateStability:
         return 0.0
 
 
-def classify(assembly: Assembly, placed: frozenset[int], held: frozenset[int] = frozenset()) -> StateStability:
-    """Stability of the placed set with some pieces held, each a fixed body whose hand never pushes others down."""
+def classify(
+    assembly: Assembly, placed: frozenset[int], held: frozenset[int] = frozenset()
+) -> StateStability:
+    """Stability of the placed set with some pieces held, each a fixed body whose hand never pushes others
+    down."""
     # rounded: the solver's last digits must not choose between states that are equal
     margin = round(equilibrium_margin(assembly, placed, held, "dropped"), 9)
     sides = margin if margin > TIE else round(equilibrium_margin(assembly, placed, held, "frictionless"), 9)
@@ -78,7 +83,8 @@ def classify(assembly: Assembly, placed: frozenset[int], held: frozenset[int] = 
 def equilibrium_margin(
     assembly: Assembly, placed: frozenset[int], held: frozenset[int] = frozenset(), sides: Sides = "dropped"
 ) -> float:
-    """Smallest horizontal acceleration [g] that topples or slides the placed set; 0 where it cannot stand at all."""
+    """Smallest horizontal acceleration [g] that topples or slides the placed set; 0 where it cannot stand at
+    all."""
     free = sorted(placed - held)
     if not free:
         return LARGEST
@@ -97,7 +103,9 @@ def equilibrium_margin(
     return region.smallest_reach(disturbance_angles(assembly, placed))
 
 
-def active_contacts(assembly: Assembly, placed: frozenset[int], held: frozenset[int], sides: Sides) -> list[Contact]:
+def active_contacts(
+    assembly: Assembly, placed: frozenset[int], held: frozenset[int], sides: Sides
+) -> list[Contact]:
     """Contacts among the placed pieces that act in a variant and touch a free piece."""
     chosen, drops = [], assembly.drops_of(placed)
     for contact in assembly.contacts:
@@ -133,10 +141,17 @@ def _widest_opening(assembly: Assembly, placed: frozenset[int]) -> float:
     return float(max(open_by, default=0.0))
 
 
-def contact_columns(contact: Contact, assembly: Assembly, free: Sequence[int], held: frozenset[int], sides: Sides) -> Array:
-    """Wrenches (6 * free, m) on the free bodies, about their centres of mass, of unit forces at the patch's corners."""
+def contact_columns(
+    contact: Contact, assembly: Assembly, free: Sequence[int], held: frozenset[int], sides: Sides
+) -> Array:
+    """Wrenches (6 * free, m) on the free bodies, about their centres of mass, of unit forces at the patch's
+    corners."""
     smooth = frictionless(contact, held, sides)
-    blocks = {body: _wrenches(contact, assembly, body, smooth) for body in (contact.body_a, contact.body_b) if body in free}
+    blocks = {
+        body: _wrenches(contact, assembly, body, smooth)
+        for body in (contact.body_a, contact.body_b)
+        if body in free
+    }
     columns = np.zeros((6 * len(free), next(iter(blocks.values())).shape[1]))
     for body, block in blocks.items():
         row = 6 * free.index(body)
@@ -150,7 +165,9 @@ def _wrenches(contact: Contact, assembly: Assembly, body: int, smooth: bool) -> 
     forces = contact_forces(contact, friction_of(contact, assembly), smooth)
     arms = contact.points - assembly.goal_centres[body]
     torques = np.cross(arms[:, None], forces[None]).reshape(-1, 3)
-    return (1.0 if body == contact.body_b else -1.0) * np.vstack([np.tile(forces.T, len(contact.points)), torques.T])
+    return (1.0 if body == contact.body_b else -1.0) * np.vstack(
+        [np.tile(forces.T, len(contact.points)), torques.T]
+    )
 
 
 def contact_forces(contact: Contact, mu: float, smooth: bool) -> Array:
@@ -166,16 +183,18 @@ def contact_forces(contact: Contact, mu: float, smooth: bool) -> Array:
 def friction_of(contact: Contact, assembly: Assembly) -> float:
     """Coulomb coefficient of a patch: the geometric mean of the two bodies'."""
     first, second = (
-        assembly.support.friction if k == SUPPORT else assembly.pieces[k].friction for k in (contact.body_a, contact.body_b)
+        assembly.support.friction if k == SUPPORT else assembly.pieces[k].friction
+        for k in (contact.body_a, contact.body_b)
     )
     return float(np.sqrt(first * second))
 
 
 def frictionless(contact: Contact, held: frozenset[int], sides: Sides) -> bool:
-    """Whether the patch may not count on friction: sides, and patches through which a held piece presses another down.
+    """Whether the patch may not count on friction: sides, and patches through which a held piece presses
+    another down.
 
-    The load of the latter would be a preload of the hand, which must not be assumed: they still block, without rubbing.
-    """
+    The load of the latter would be a preload of the hand, which must not be assumed: they still block,
+    without rubbing."""
     if sides != "friction" and abs(contact.normal[2]) < SIDE:
         return True
     presses_down = (contact.body_a in held and contact.normal[2] < -SIDE) or (
@@ -185,7 +204,8 @@ def frictionless(contact: Contact, held: frozenset[int], sides: Sides) -> bool:
 
 
 def disturbance_angles(assembly: Assembly, placed: frozenset[int]) -> Array:
-    """Horizontal directions [rad]: a regular fan of the assembly frame, and the normals of the support polygon's edges."""
+    """Horizontal directions [rad]: a regular fan of the assembly frame, and the normals of the support
+    polygon's edges."""
     regular = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
     feet = [c.points[:, :2] for c in assembly.contacts if c.body_a == SUPPORT and c.body_b in placed]
     if not feet:

@@ -17,15 +17,17 @@ MOST_ASKED = 8  # pieces; of more, not every state is looked at in advance
 class Holds:
     """Held sets of one assembly; each question is answered once.
 
-    A hand that a state does not need adds nothing: the state counts as if it were away. So the S of a held set is that of its
-    best smallest part that keeps the state up, and what stands with a set held stands with any larger one.
-    """
+    A hand that a state does not need adds nothing: the state counts as if it were away. So the S of a held
+    set is that of its best smallest part that keeps the state up, and what stands with a set held stands with
+    any larger one."""
 
     def __init__(self, qualities: Qualities):
         self.q = qualities
         self.hands, self.count = qualities.options.hands, len(qualities.assembly.names)
         self.analyse = state_analyzer(qualities.options.stability)
-        self.refused: set[tuple[Placed, int, int | None]] = set()  # (placed, held piece, upcoming) that no grasp can take
+        self.refused: set[tuple[Placed, int, int | None]] = (
+            set()
+        )  # (placed, held piece, upcoming) that no grasp can take
         self._later: dict[Placed, bool] = {}
         self._judged: dict[tuple[Placed, Placed], Judgement] = {}
         self._holdable: dict[tuple[Placed, int | None, Placed], bool] = {}
@@ -55,13 +57,16 @@ class Holds:
         return self.analyse(self.q, placed, held)
 
     def supports(self, before: Placed, piece: int, held: Placed, upcoming: int | None) -> tuple[Support, ...]:
-        """What may be held after `piece` went into `before`, so that a hand is free for `upcoming`; nothing in the end."""
+        """What may be held after `piece` went into `before`, so that a hand is free for `upcoming`; nothing
+        in the end."""
         key = (before, piece, held, upcoming)
         if key not in self._after:
             placed, most = before | {piece}, self.hands - 1 if upcoming is not None else 0
             if self.judge(placed).stands and not self._needed_later(placed):
                 most = 0  # nothing to hold on for
-            reached = [kept for kept in self._reachable(placed, held | {piece}, upcoming) if len(kept) <= most]
+            reached = [
+                kept for kept in self._reachable(placed, held | {piece}, upcoming) if len(kept) <= most
+            ]
             self._after[key] = tuple(
                 self._support(placed, piece, held, kept)
                 for kept in sorted(reached, key=lambda kept: (len(kept), sorted(kept)))
@@ -73,7 +78,9 @@ class Holds:
         """Held sets on the way from `start`, by letting go and taking, that keep the state up."""
         free = self.judge(placed).stands
         # while the state stands by itself a hold is only taken up for the sake of the next one
-        wanted = not free or (upcoming is not None and not self.judge(placed | {upcoming}, frozenset({upcoming})).stands)
+        wanted = not free or (
+            upcoming is not None and not self.judge(placed | {upcoming}, frozenset({upcoming})).stands
+        )
         seen, stack = {start}, [start]
         while stack:
             current = stack.pop()
@@ -87,21 +94,28 @@ class Holds:
         return seen if self.judge(placed, start).stands else seen - {start}
 
     def _needed_later(self, placed: Placed) -> bool:
-        """Whether some state with more pieces cannot do without a hand; taken for granted where there are too many to ask."""
+        """Whether some state with more pieces cannot do without a hand; taken for granted where there are too
+        many to ask."""
         if placed not in self._later:
             left = [piece for piece in range(self.count) if piece not in placed]
             self._later[placed] = self.count > MOST_ASKED or any(
-                not self.judge(placed | {piece}).stands or self._needed_later(placed | {piece}) for piece in left
+                not self.judge(placed | {piece}).stands or self._needed_later(placed | {piece})
+                for piece in left
             )
         return self._later[placed]
 
     def _support(self, placed: Placed, piece: int, before: Placed, held: Placed) -> Support:
         judgement = self.judge(placed, held)
         again, changes = len(held - before - {piece}), len(held - before)
-        return Support(held, judgement.quality, (again, len(held), int(judgement.verdict == "clearance-dependent"), changes))
+        return Support(
+            held,
+            judgement.quality,
+            (again, len(held), int(judgement.verdict == "clearance-dependent"), changes),
+        )
 
     def can_hold(self, placed: Placed, upcoming: int | None, held: Placed) -> bool:
-        """Whether every held piece has an assisting grasp clear of the next piece, its hand and the other hands."""
+        """Whether every held piece has an assisting grasp clear of the next piece, its hand and the other
+        hands."""
         if not held:
             return True
         key = (placed, upcoming, held)
@@ -137,7 +151,9 @@ class Holds:
             elif not self.can_hold(placed, upcoming, held):
                 tried.append(f"{label} cannot be held: {self._ungraspable(placed, upcoming, held)}")
             else:
-                tried.append(f"{label} cannot be taken in time: no hand gets there while the others keep the state up")
+                tried.append(
+                    f"{label} cannot be taken in time: no hand gets there while the others keep the state up"
+                )
         if useless:
             tried.insert(0, f"with {' or '.join(useless)} held it falls too")
         return f"{text}; {'; '.join(tried)}"
@@ -149,7 +165,13 @@ class Holds:
         for piece in sorted(held):
             if (placed, piece, upcoming) in self.refused:
                 return "no grasp can take its load"
-            count, left = len(self.q.accessible(piece, placed)), len(self.q.assisting(piece, placed, upcoming, direction))
+            count, left = (
+                len(self.q.accessible(piece, placed)),
+                len(self.q.assisting(piece, placed, upcoming, direction)),
+            )
             if not left:
-                return f"of its {count} accessible grasps none is clear of {name[upcoming]}, its way and its hand"
+                return (
+                    f"of its {count} accessible grasps none is clear of {name[upcoming]}, its way and its "
+                    f"hand"
+                )
         return "no two of their grasps are clear of each other"

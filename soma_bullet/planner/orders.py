@@ -76,7 +76,8 @@ class OrderRow:
 
 @dataclass(frozen=True)
 class _Cell:
-    """One insertion: values of the analyzers, contact type, direction, and the analyzer that rules it out, with its reason."""
+    """One insertion: values of the analyzers, contact type, direction, and the analyzer that rules it out,
+    with its reason."""
 
     values: tuple[float, ...]
     type: str
@@ -103,7 +104,8 @@ class Orders:
         self.names = qualities.assembly.names
         self.count = len(self.names)
         self.paper = qualities.options.stability == PAPER
-        self.raw_only = False  # paper mode, where some order is stable throughout: the assisting hand stays away
+        # paper mode, where some order is stable throughout: the assisting hand stays away
+        self.raw_only = False
         self.analyzers = {name: step_analyzer(name) for name in (*STEPS, *qualities.options.analyzers)}
         self._steps: dict[tuple[Placed, int], dict[str, Judgement]] = {}
         self._cells: dict[tuple[Placed, int], _Cell] = {}
@@ -117,7 +119,8 @@ class Orders:
         return self._cell(placed, piece).values
 
     def supports(self, before: Placed, piece: int, held: Placed, upcoming: int | None) -> tuple[Support, ...]:
-        """What may be held after `piece` went in. Paper mode: exactly the pieces of zero s (paper Sec. IV-F)."""
+        """What may be held after `piece` went in. Paper mode: exactly the pieces of zero s (paper Sec.
+        IV-F)."""
         if not self.paper:
             return self.holds.supports(before, piece, held, upcoming)
         placed = before | {piece}
@@ -151,7 +154,9 @@ class Orders:
             self.raw_only = True
             found, labels = best_orders(self, count, self.bound)
             if found:
-                return [self._row(Followed(f.order, (0.0, FREE, f.held, f.s), True), raw=True) for f in found], labels
+                return [
+                    self._row(Followed(f.order, (0.0, FREE, f.held, f.s), True), raw=True) for f in found
+                ], labels
             self.raw_only = False
         found, labels = best_orders(self, count, self.bound)
         return [self._row(Followed(f.order, (f.minima[0], f.cost, f.held, f.s), True)) for f in found], labels
@@ -168,7 +173,9 @@ class Orders:
         if self.paper:
             states = [self.paper_state(placed) for placed in sets[1:]]
             s = tuple(values[piece] for piece, (values, _) in zip(order, states, strict=True))
-            s_held = tuple(min((v for v in values.values() if v > 0.0), default=math.inf) for values, _ in states)
+            s_held = tuple(
+                min((v for v in values.values() if v > 0.0), default=math.inf) for values, _ in states
+            )
             held = tuple(zeros for _, zeros in states)
         else:
             s = tuple(self.holds.judge(placed).quality for placed in sets[1:])
@@ -203,7 +210,9 @@ class Orders:
                 type=way.type,
                 direction=None if way.direction is None else rounded(way.direction),
                 fault=fault,
-                reason=f"{self.names[piece]} into {self._named(placed)}: {judged[fault].reason}" if fault else "",
+                reason=f"{self.names[piece]} into {self._named(placed)}: {judged[fault].reason}"
+                if fault
+                else "",
             )
         return self._cells[placed, piece]
 
@@ -216,7 +225,10 @@ class Orders:
         first = next((Fault(i, cell.fault, cell.reason) for i, cell in enumerate(cells) if cell.fault), None)
         if followed.complete or (first is not None and first.step <= k):
             return first
-        if (order[: k + 1], _next(order, k)) not in self._faults:  # the reason is that of the state, whatever comes later
+        if (
+            order[: k + 1],
+            _next(order, k),
+        ) not in self._faults:  # the reason is that of the state, whatever comes later
             fault = self._paper_fault(frozenset(order[: k + 1]), _next(order, k)) if self.paper else None
             found = Fault(k, *fault) if fault else self.support_fault(order, k)
             self._faults[order[: k + 1], _next(order, k)] = found
@@ -236,7 +248,9 @@ class Orders:
     def _judged(self, placed: Placed, piece: int) -> dict[str, Judgement]:
         key = (placed, piece)
         if key not in self._steps:
-            self._steps[key] = {name: analyse(self.q, placed, piece) for name, analyse in self.analyzers.items()}
+            self._steps[key] = {
+                name: analyse(self.q, placed, piece) for name, analyse in self.analyzers.items()
+            }
         return self._steps[key]
 
     def paper_state(self, placed: Placed) -> tuple[dict[int, float], Placed]:
@@ -247,7 +261,8 @@ class Orders:
         return self._paper[placed]
 
     def _paper_fault(self, placed: Placed, upcoming: int | None) -> tuple[str, str] | None:
-        """Stage and reason why the zero set cannot be held, or None. The paper's "less than" is read as "at most"."""
+        """Stage and reason why the zero set cannot be held, or None. The paper's "less than" is read as "at
+        most"."""
         _, zeros = self.paper_state(placed)
         spare = self.holds.hands - 1
         if len(zeros) > spare:
@@ -256,7 +271,10 @@ class Orders:
         if self.holds.can_hold(placed, upcoming, zeros):
             return None
         before = "the end" if upcoming is None else self.names[upcoming]
-        return "assisting grasp", f"{self._named(zeros)} in {self._named(placed)} cannot be gripped clear of {before}"
+        return (
+            "assisting grasp",
+            f"{self._named(zeros)} in {self._named(placed)} cannot be gripped clear of {before}",
+        )
 
     def _named(self, pieces: Sequence[int] | Placed) -> str:
         return "{" + ", ".join(self.names[p] for p in sorted(pieces)) + "}"

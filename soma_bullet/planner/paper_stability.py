@@ -1,8 +1,7 @@
 """Stability of one piece against fixed neighbours, as the paper measures it (Sec. IV-B).
 
-The paper leaves the friction cones unbounded; here every generator is bounded by KAPPA weights of the piece, and the wrench
-set is the convex hull of the bounded generators and of no contact at all.
-"""
+The paper leaves the friction cones unbounded; here every generator is bounded by KAPPA weights of the piece,
+and the wrench set is the convex hull of the bounded generators and of no contact at all."""
 
 from __future__ import annotations
 
@@ -30,7 +29,8 @@ def contact_wrenches(
     Args:
         contacts: patches with their normals into the piece.
         center_of_mass: (3,) [m].
-        radius: largest distance of a vertex from the centre of mass [m]: makes torques comparable with forces.
+        radius: largest distance of a vertex from the centre of mass [m]: makes torques comparable with
+            forces.
         friction: coefficient for each contact (k,).
         turn: rotation of the pyramids about their normals [rad].
     """
@@ -45,7 +45,8 @@ def contact_wrenches(
 
 
 def wrench_margin(generators: Array, kappa: float = KAPPA) -> float:
-    """Distance of the origin from the boundary of conv({0} u kappa * generators) + gravity if it is inside, else 0.
+    """Distance of the origin from the boundary of conv({0} u kappa * generators) + gravity if it is inside,
+    else 0.
 
     Unit: weights of the piece. Source: paper Sec. IV-B, s = min{d | d in convexhull(W)}.
     """
@@ -58,12 +59,13 @@ def wrench_margin(generators: Array, kappa: float = KAPPA) -> float:
 
 
 def smallest_offset(points: Array) -> float:
-    """Distance of the origin from the nearest facet of conv(points (n, d)); outside a facet's, below 0; 0 for a flat hull.
+    """Distance of the origin from the nearest facet of conv(points (n, d)); outside a facet's, below 0; 0 for
+    a flat hull.
 
-    The expanding polytope algorithm (G. van den Bergen, "Proximity queries and penetration depth computation on 3D game
-    objects", GDC 2001) in d dimensions: of a simplex that grows towards the points only the nearest facet is pushed out. One
-    that no point lies beyond is a facet of the whole hull, and none is nearer: of thousands of facets a few hundred are made.
-    """
+    The expanding polytope algorithm (G. van den Bergen, "Proximity queries and penetration depth computation
+    on 3D game objects", GDC 2001) in d dimensions: of a simplex that grows towards the points only the
+    nearest facet is pushed out. One that no point lies beyond is a facet of the whole hull, and none is
+    nearer: of thousands of facets a few hundred are made."""
     try:
         return _expanded(points)
     except np.linalg.LinAlgError:  # a facet that is flat to the last digit; joggled, none is
@@ -87,7 +89,9 @@ def _expanded(points: Array) -> float:
         beyond = (about @ normals[nearest] - 1) / lengths[nearest]
         farthest = int(beyond.argmax())
         if beyond[farthest] <= BEYOND:
-            on = about[np.abs(beyond) < ON_FACET]  # all of them: the corners of a sliver would tell its plane badly
+            on = about[
+                np.abs(beyond) < ON_FACET
+            ]  # all of them: the corners of a sliver would tell its plane badly
             normal = np.linalg.lstsq(on, np.ones(len(on)), rcond=None)[0]
             return float((1 + normal @ centre) / np.linalg.norm(normal))
         # the facets that the farthest point sees give way to those between it and their rim
@@ -102,7 +106,8 @@ def _expanded(points: Array) -> float:
 
 
 def _wide_simplex(points: Array) -> list[int] | None:
-    """Indices of d + 1 points, each far from the span of those before; None where all points lie in a plane."""
+    """Indices of d + 1 points, each far from the span of those before; None where all points lie in a
+    plane."""
     chosen = [int(np.argmax(((points - points.mean(axis=0)) ** 2).sum(axis=1)))]
     rest = points - points[chosen[0]]
     for _ in range(points.shape[1]):

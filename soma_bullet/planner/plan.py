@@ -1,4 +1,5 @@
-"""The plan: the best order with its directions, grasps and assisting grasps, the matrices behind it, and warnings."""
+"""The plan: the best order with its directions, grasps and assisting grasps, the matrices behind it, and
+warnings."""
 
 from __future__ import annotations
 
@@ -11,7 +12,14 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError, NoSolutionError
 from soma_bullet.frames import to_quat_xyzw
 from soma_bullet.grasp.hand import Hand
-from soma_bullet.planner.assembly_plan import AssemblyPlan, GraspTable, Hold, PlannedOrder, PlanStep, Sensitivity
+from soma_bullet.planner.assembly_plan import (
+    AssemblyPlan,
+    GraspTable,
+    Hold,
+    PlannedOrder,
+    PlanStep,
+    Sensitivity,
+)
 from soma_bullet.planner.assist import HoldCertificate, certify_hold
 from soma_bullet.planner.equilibrium import TIE
 from soma_bullet.planner.orders import MOST_ENUMERATED, OrderRow, Orders, rounded
@@ -69,14 +77,18 @@ class _RefusedHold(Exception):
     """A hold that the search counted on, and that no grasp can take."""
 
 
-def _plan(orders: Orders, options: PlannerOptions, excluded: frozenset[tuple[str, ...]], refusals: list[str]) -> AssemblyPlan:
+def _plan(
+    orders: Orders, options: PlannerOptions, excluded: frozenset[tuple[str, ...]], refusals: list[str]
+) -> AssemblyPlan:
     qualities, assembly = orders.q, orders.q.assembly
     ranked, optimality = _ranked(orders, options.top, excluded)
     candidates = [row for row in ranked if row.feasible and row.score > 0 and row.order not in excluded]
     if not candidates:
         reasons = Counter(row.reason or "score 0" for row in ranked if row.order not in excluded)
         what = f"none of the {len(ranked)} orders" if ranked else "no order"
-        raise NoPlanError(f"{what} of {assembly.name} can be built", reasons + Counter(refusals), tuple(ranked))
+        raise NoPlanError(
+            f"{what} of {assembly.name} can be built", reasons + Counter(refusals), tuple(ranked)
+        )
     ties = [row for row in candidates if math.isclose(row.score, candidates[0].score, rel_tol=1e-9)]
     easiest = _easiest(ties)
     first = easiest[picked(options.seed, len(easiest))]
@@ -108,7 +120,11 @@ def _plan(orders: Orders, options: PlannerOptions, excluded: frozenset[tuple[str
         orders=tuple(ranked),
         optimality=optimality,
         ties=tuple(row.order for row in ties) if len(ties) > 1 else (),
-        warnings=(*_approximations(assembly), *_hanging(chosen), *(_false_stable(orders, ranked) if orders.paper else ())),
+        warnings=(
+            *_approximations(assembly),
+            *_hanging(chosen),
+            *(_false_stable(orders, ranked) if orders.paper else ()),
+        ),
         passed_over=(*refusals, *passed_over),
         sensitivity=tuple(_sensitivity(qualities, chosen)) if orders.paper else (),
         versions=package_versions(),
@@ -136,9 +152,14 @@ def _ranked(orders: Orders, top: int, excluded: frozenset[tuple[str, ...]]) -> t
     """Rows, best first, and what the search guarantees."""
     if orders.count <= MOST_ENUMERATED:
         rows = orders.all_rows()
-        return sorted(rows, key=lambda row: (not row.feasible, -row.score)), f"exact: all {len(rows)} orders were compared"
+        return sorted(
+            rows, key=lambda row: (not row.feasible, -row.score)
+        ), f"exact: all {len(rows)} orders were compared"
     rows, labels = orders.best_rows(max(top, TIES) + len(excluded))
-    how = f"exact: a search over subsets with {labels} labels; no order scores better, and the best {len(rows)} are listed"
+    how = (
+        f"exact: a search over subsets with {labels} labels; no order scores better, and the best "
+        f"{len(rows)} are listed"
+    )
     if rows:
         return rows, how
     # every way ends somewhere: say where the ways of some orders do
@@ -151,10 +172,14 @@ def _check_final(assembly: Assembly, orders: Orders) -> None:
     final = orders.holds.judge(everything)
     if final.stands:
         return
-    saved = [assembly.names[k] for k in sorted(everything) if orders.holds.judge(everything, frozenset({k})).stands]
+    saved = [
+        assembly.names[k] for k in sorted(everything) if orders.holds.judge(everything, frozenset({k})).stands
+    ]
     hint = f"holding {' or '.join(saved)} would keep it up" if saved else "no single hold would keep it up"
     raise InputError(
-        assembly.name, f"the finished assembly is not stable: it {final.reason}, and must resist more than {TIE:g} g; {hint}"
+        assembly.name,
+        f"the finished assembly is not stable: it {final.reason}, and must resist more than {TIE:g} g; "
+        f"{hint}",
     )
 
 
@@ -186,8 +211,11 @@ def _steps(orders: Orders, order: tuple[int, ...], held: tuple[Placed, ...]) -> 
     return tuple(steps)
 
 
-def _hold(orders: Orders, placed: Placed, piece: int, upcoming: int | None, verdict: str, taken: bool) -> Hold:
-    """A hold with the certificate of the best of some of its grasps. Raises _RefusedHold where none can take the load."""
+def _hold(
+    orders: Orders, placed: Placed, piece: int, upcoming: int | None, verdict: str, taken: bool
+) -> Hold:
+    """A hold with the certificate of the best of some of its grasps. Raises _RefusedHold where none can take
+    the load."""
     qualities, assembly = orders.q, orders.q.assembly
     direction = None if upcoming is None else qualities.assemblability(upcoming, placed).direction
     indices, table = qualities.assisting(piece, placed, upcoming, direction), qualities.grasps(piece)
@@ -209,15 +237,18 @@ def _hold(orders: Orders, placed: Placed, piece: int, upcoming: int | None, verd
     state = ", ".join(assembly.names[k] for k in sorted(placed))
     margin = 0.0 if best is None else best[0].margin
     raise _RefusedHold(
-        f"holding {assembly.names[piece]} in {{{state}}}: the best of {len(indices)} grasps takes {margin:.2f} x the load "
-        f"({load.push:g} N of the next insertion, {load.disturbance:g} g sideways), and must take {SMALLEST_MARGIN:g} x"
+        f"holding {assembly.names[piece]} in {{{state}}}: the best of {len(indices)} grasps takes "
+        f"{margin:.2f} x the load "
+        f"({load.push:g} N of the next insertion, {load.disturbance:g} g sideways), and must take "
+        f"{SMALLEST_MARGIN:g} x"
     )
 
 
 def _hanging(row: OrderRow) -> list[str]:
     """Pieces of the chosen order that touch nothing when they are placed."""
     return [
-        f"{name} touches nothing when it is placed and hangs in a hand until something is put below it; the analyzer "
+        f"{name} touches nothing when it is placed and hangs in a hand until something is put below it; "
+        f"the analyzer "
         "`grounded` rules such orders out"
         for name, kind in zip(row.order, row.types, strict=True)
         if kind == "free"
@@ -227,7 +258,8 @@ def _hanging(row: OrderRow) -> list[str]:
 def _approximations(assembly: Assembly) -> list[str]:
     """Pieces whose collision parts are not exact."""
     return [
-        f"{piece.name} curves inwards: its collision parts have {piece.decomposition.volume_ratio:.3f} x its volume and stand "
+        f"{piece.name} curves inwards: its collision parts have {piece.decomposition.volume_ratio:.3f} x "
+        f"its volume and stand "
         f"out by up to {piece.decomposition.deviation * 1e3:.2f} mm"
         for piece in assembly.pieces
         if piece.decomposition.kind == "approximate"
@@ -237,15 +269,21 @@ def _approximations(assembly: Assembly) -> list[str]:
 def _table(qualities: Qualities, piece: int) -> GraspTable:
     grasps = qualities.grasps(piece)
     poses = np.hstack(to_quat_xyzw(grasps.Ts_piece_tcp))
-    return GraspTable(qualities.assembly.names[piece], np.round(poses, 9) + 0.0, np.round(grasps.widths, 9), grasps.contact)
+    return GraspTable(
+        qualities.assembly.names[piece], np.round(poses, 9) + 0.0, np.round(grasps.widths, 9), grasps.contact
+    )
 
 
 def _states(rows: list[OrderRow]) -> list[tuple[str, ...]]:
-    return sorted({tuple(sorted(row.order[: k + 1])) for row in rows for k in range(len(row.order))}, key=lambda s: (len(s), s))
+    return sorted(
+        {tuple(sorted(row.order[: k + 1])) for row in rows for k in range(len(row.order))},
+        key=lambda s: (len(s), s),
+    )
 
 
 def _false_stable(orders: Orders, rows: list[OrderRow]) -> list[str]:
-    """States that the paper's measure calls stable and that fall all the same: pieces that lean on each other."""
+    """States that the paper's measure calls stable and that fall all the same: pieces that lean on each
+    other."""
     warnings = []
     for state in _states(rows):
         placed: Placed = frozenset(orders.names.index(name) for name in state)
@@ -269,5 +307,9 @@ def _sensitivity(qualities: Qualities, row: OrderRow) -> list[Sensitivity]:
         reported |= set(sorted((j for j in values if values[j] > 0), key=values.__getitem__)[:1])
         for piece in sorted(reported):
             turned = [qualities.paper_stability(piece, placed, i * np.pi / 3 / TURNS) for i in range(TURNS)]
-            found.append(Sensitivity(row.order[: k + 1], qualities.assembly.names[piece], turned[0], min(turned), max(turned)))
+            found.append(
+                Sensitivity(
+                    row.order[: k + 1], qualities.assembly.names[piece], turned[0], min(turned), max(turned)
+                )
+            )
     return found

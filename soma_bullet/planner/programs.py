@@ -1,7 +1,7 @@
 """Linear programs of statics: contact forces that balance a load, and how far the load may go.
 
-One model a set of bodies; further questions change its objective or one column only, and start from the last solution.
-"""
+One model a set of bodies; further questions change its objective or one column only, and start from the last
+solution."""
 
 from __future__ import annotations
 
@@ -14,11 +14,13 @@ from soma_bullet.frames import Array
 
 LARGEST = 1e3  # [g, or multiples of the load] stands for "no limit"
 MOST_QUESTIONS = 500  # about ten are usual
-EXACT = 1e-8  # above the last digits of the solver: an edge of a region is final once no point lies farther out than this
+# above the last digits of the solver: an edge of a region is final once no point lies farther out than this
+EXACT = 1e-8
 
 
 def _solver(columns: Array, extra: Array, limits: Array, lower: Array, upper: Array, balance: Array) -> Any:
-    """A model: columns @ x = balance, extra @ x <= limits, lower <= x <= upper; the objective is set later."""
+    """A model: columns @ x = balance, extra @ x <= limits, lower <= x <= upper; the objective is set
+    later."""
     matrix = np.vstack([columns, extra])
     program = highspy.HighsLp()
     program.num_row_, program.num_col_ = matrix.shape
@@ -35,16 +37,20 @@ def _solver(columns: Array, extra: Array, limits: Array, lower: Array, upper: Ar
     solver.silent()
     solver.setOptionValue("presolve", "off")
     solver.setOptionValue("threads", 1)
-    solver.setOptionValue("simplex_strategy", 4)  # primal: what changes between questions leaves the last solution feasible
+    solver.setOptionValue(
+        "simplex_strategy", 4
+    )  # primal: what changes between questions leaves the last solution feasible
     solver.passModel(program)
     return solver
 
 
 class PushRegion:
-    """The pushes a (2,) for which columns @ lambda + load + a @ pushes = 0 has a solution lambda >= 0: a convex polygon.
+    """The pushes a (2,) for which columns @ lambda + load + a @ pushes = 0 has a solution lambda >= 0: a
+    convex polygon.
 
-    Its corners are found as they are needed: only the objective changes between questions (T. Bretl, S. Lall, "Testing static
-    equilibrium for legged robots", IEEE Trans. Robotics 24(4), 2008, project a polytope in this way).
+    Its corners are found as they are needed: only the objective changes between questions (T. Bretl, S. Lall,
+    "Testing static equilibrium for legged robots", IEEE Trans. Robotics 24(4), 2008, project a polytope in
+    this way).
 
     Args:
         columns: wrenches of the unit forces (rows, m).
@@ -60,11 +66,14 @@ class PushRegion:
         lower = np.concatenate([np.zeros(self.count), [-largest, -largest]])
         upper = np.concatenate([np.full(self.count, highspy.kHighsInf), [largest, largest]])
         self.largest = largest
-        self.solver = _solver(matrix, np.zeros((0, self.count + 2)), np.zeros(0), lower, upper, -load * scaling)
+        self.solver = _solver(
+            matrix, np.zeros((0, self.count + 2)), np.zeros(0), lower, upper, -load * scaling
+        )
         self.last = np.array([self.count, self.count + 1], np.int32)
 
     def extreme(self, direction: Array) -> Array | None:
-        """The point (2,) of the region that lies farthest along a direction (2,); None where the region is empty."""
+        """The point (2,) of the region that lies farthest along a direction (2,); None where the region is
+        empty."""
         self.solver.changeColsCost(2, self.last, -direction)
         self.solver.run()
         if self.solver.getModelStatus() != highspy.HighsModelStatus.kOptimal:
@@ -72,7 +81,8 @@ class PushRegion:
         return np.array(self.solver.getSolution().col_value[self.count :])
 
     def smallest_reach(self, angles: Array) -> float:
-        """Smallest distance from the origin to the border along directions (n,) [rad]; 0 where the origin is not inside."""
+        """Smallest distance from the origin to the border along directions (n,) [rad]; 0 where the origin is
+        not inside."""
         corners: list[tuple[float, Array]] = []
         for angle in np.pi / 2 * np.arange(4):
             point = self.extreme(np.array([np.cos(angle), np.sin(angle)]))
@@ -95,7 +105,9 @@ class PushRegion:
                 edge, reach = int(np.argmin(offsets)), 0.0
             else:
                 facing = rays @ normals.T
-                distance = np.where(facing > 1e-9, np.maximum(offsets, 0.0) / np.maximum(facing, 1e-9), np.inf)
+                distance = np.where(
+                    facing > 1e-9, np.maximum(offsets, 0.0) / np.maximum(facing, 1e-9), np.inf
+                )
                 ray, edge = divmod(int(np.argmin(distance)), distance.shape[1])
                 reach = float(distance[ray, edge])
             key = (corners[real[edge]][0], corners[(real[edge] + 1) % len(corners)][0])
@@ -111,7 +123,8 @@ class PushRegion:
 
 
 class RayProgram:
-    """max t, subject to columns @ lambda + load + t * push = 0, lambda >= 0 (and optional bounds): one model, many rays."""
+    """max t, subject to columns @ lambda + load + t * push = 0, lambda >= 0 (and optional bounds): one model,
+    many rays."""
 
     def __init__(self, columns: Array, scaling: Array, upper_rows: tuple[Array, Array] | None = None):
         self.scaling = scaling
@@ -121,7 +134,9 @@ class RayProgram:
         lower, upper = np.zeros(count + 1), np.concatenate([np.full(count, highspy.kHighsInf), [LARGEST]])
         # the last column is the push, set for each ray
         matrix = np.hstack([columns * scaling[:, None], np.zeros((rows, 1))])
-        self.solver = _solver(matrix, np.hstack([extra, np.zeros((len(extra), 1))]), limits, lower, upper, np.zeros(rows))
+        self.solver = _solver(
+            matrix, np.hstack([extra, np.zeros((len(extra), 1))]), limits, lower, upper, np.zeros(rows)
+        )
         self.solver.changeColCost(count, -1.0)
         self.last = count
 

@@ -32,13 +32,13 @@ class PlannerOptions:
     """How the planner judges.
 
     Attributes:
-        stability: `equilibrium` (the whole placed set at once), `paper` (one piece against fixed neighbours), or an analyzer of
-            your own, as `module:function` (see soma_bullet.planner.analyzers).
+        stability: `equilibrium` (the whole placed set at once), `paper` (one piece against fixed neighbours),
+            or an analyzer of your own, as `module:function` (see soma_bullet.planner.analyzers).
         hands: hands of the robot; one inserts, the others may hold.
         seed: breaks exact ties of score.
         top: how many of the best orders are worked out step by step.
-        analyzers: further analyzers of steps: `grounded`, or your own as `module:function`; their smallest values are factors
-            of the score.
+        analyzers: further analyzers of steps: `grounded`, or your own as `module:function`; their smallest
+            values are factors of the score.
         load: what a hold must resist beside gravity.
         sampling: how grasps are sampled.
     """
@@ -70,14 +70,19 @@ class Qualities:
         self._assisting: dict[tuple[int, Placed, int | None], Indices] = {}
 
     def paper_stability(self, piece: int, placed: Placed, turn: float = 0.0) -> float:
-        """s of `piece` in the placed set (that contains it), by the paper's wrench set. Unit: weights of the piece."""
-        neighbours = frozenset(k for c in self.assembly.contacts if piece in (c.body_a, c.body_b) for k in (c.body_a, c.body_b))
+        """s of `piece` in the placed set (that contains it), by the paper's wrench set. Unit: weights of the
+        piece."""
+        neighbours = frozenset(
+            k for c in self.assembly.contacts if piece in (c.body_a, c.body_b) for k in (c.body_a, c.body_b)
+        )
         key = (piece, neighbours & placed, turn)
         if key not in self._paper:
             contacts = self.assembly.contacts_of(piece, placed)
             friction = np.array([friction_of(c, self.assembly) for c in contacts])
             body = self.assembly.pieces[piece]
-            generators = contact_wrenches(contacts, self.assembly.goal_centres[piece], body.radius, friction, turn)
+            generators = contact_wrenches(
+                contacts, self.assembly.goal_centres[piece], body.radius, friction, turn
+            )
             self._paper[key] = wrench_margin(generators)
         return self._paper[key]
 
@@ -89,7 +94,8 @@ class Qualities:
         return self._stability[key]
 
     def grasps(self, piece: int) -> GraspSet:
-        """Grasps of `piece` alone in the air: closable, with the hand clear of the piece itself and its way out."""
+        """Grasps of `piece` alone in the air: closable, with the hand clear of the piece itself and its way
+        out."""
         if piece not in self._grasps:
             body = self.assembly.pieces[piece]
             sampled = sample_grasps(body, self.hand, self.options.sampling)
@@ -98,7 +104,8 @@ class Qualities:
         return self._grasps[piece]
 
     def accessible(self, piece: int, placed: Placed) -> Indices:
-        """Indices of the grasps of `piece` at its goal whose hand and way out are clear of the placed set and the support."""
+        """Indices of the grasps of `piece` at its goal whose hand and way out are clear of the placed set and
+        the support."""
         key = (piece, placed - {piece})
         if key not in self._accessible:
             clear = self._clear_of(piece, SUPPORT).copy()
@@ -108,7 +115,8 @@ class Qualities:
         return self._accessible[key]
 
     def candidates(self, piece: int, placed: Placed) -> Indices:
-        """Indices of the accessible grasps whose hand is clear of the placed set on the way in too, all along the insertion."""
+        """Indices of the accessible grasps whose hand is clear of the placed set on the way in too, all along
+        the insertion."""
         key = (piece, placed)
         if key not in self._candidates:
             indices, direction = self.accessible(piece, placed), self.assemblability(piece, placed).direction
@@ -135,26 +143,33 @@ class Qualities:
                 others,
                 "ordinal" if self.options.stability == "paper" else "finite",
                 self.assembly.support.height,
-                {k: self.assembly.pieces[piece].roughness + self.assembly.pieces[k].roughness for k in others},
+                {
+                    k: self.assembly.pieces[piece].roughness + self.assembly.pieces[k].roughness
+                    for k in others
+                },
                 self._axes(piece),
                 self._rank(piece, placed),
             )
         return self._ways[key]
 
     def _axes(self, piece: int) -> Array:
-        """Face normals (k, 3) of a piece at its goal, one for each direction up to sign; cuts inside it have no say."""
+        """Face normals (k, 3) of a piece at its goal, one for each direction up to sign; cuts inside it have
+        no say."""
         if piece not in self._normals:
             normals = np.array([facet.normal for facet in self.assembly.pieces[piece].facets])
             self._normals[piece] = unique_directions(normals @ self.assembly.goals[piece][:3, :3].T)
         return self._normals[piece]
 
     def _rank(self, piece: int, placed: Placed) -> Rank:
-        """Orders removal directions that are equally free: away from the placed set first, then by the piece's own axes.
+        """Orders removal directions that are equally free: away from the placed set first, then by the
+        piece's own axes.
 
         It turns with the assembly, and does not depend on the order of the pieces.
         """
         centres, rotation = self.assembly.goal_centres, self.assembly.goals[piece][:3, :3]
-        away = centres[piece] - np.sort(centres[sorted(placed)], axis=0).mean(axis=0) if placed else np.zeros(3)
+        away = (
+            centres[piece] - np.sort(centres[sorted(placed)], axis=0).mean(axis=0) if placed else np.zeros(3)
+        )
         away = away / max(float(np.linalg.norm(away)), 1e-9)
         return lambda direction: (-round(float(direction @ away), 6), *(-np.round(direction @ rotation, 6)))
 
@@ -164,29 +179,36 @@ class Qualities:
         if not count:
             return "no pair of its opposite faces lets the hand close on it"
         names = {SUPPORT: "the support"} | dict(enumerate(self.assembly.names))
-        blocked = {names[k]: int((~self._clear_of(piece, k)).sum()) for k in (SUPPORT, *sorted(placed - {piece}))}
+        blocked = {
+            names[k]: int((~self._clear_of(piece, k)).sum()) for k in (SUPPORT, *sorted(placed - {piece}))
+        }
         ranked = sorted(((hits, name) for name, hits in blocked.items() if hits), key=lambda item: -item[0])
         said = [f"{hits} hit {name}" for hits, name in ranked]
         late = len(self.accessible(piece, placed)) - len(self.candidates(piece, placed))
-        return f"of {count} " + ", ".join([*said, f"{late} more hit something on the way in"] if late else said)
+        return f"of {count} " + ", ".join(
+            [*said, f"{late} more hit something on the way in"] if late else said
+        )
 
     def assisting(self, piece: int, placed: Placed, upcoming: int | None, direction: Array | None) -> Indices:
         """Indices of the grasps that may hold a placed piece while the next one comes in (paper Sec. IV-F).
 
-        They are accessible, clear of the next piece at its goal and along its whole way in, and clear of the hand that brings
-        it, for at least one of its grasps (the paper leaves hand against hand open).
-        """
+        They are accessible, clear of the next piece at its goal and along its whole way in, and clear of the
+        hand that brings it, for at least one of its grasps (the paper leaves hand against hand open)."""
         key = (piece, placed, upcoming)
         if key not in self._assisting:
             self._assisting[key] = self._find_assisting(piece, placed, upcoming, direction)
         return self._assisting[key]
 
     def can_assist(self, piece: int, placed: Placed, upcoming: int | None, direction: Array | None) -> bool:
-        """Whether there is an assisting grasp at all: a few that are spread out are tried before all of them."""
+        """Whether there is an assisting grasp at all: a few that are spread out are tried before all of
+        them."""
         if upcoming is None or direction is None or (piece, placed, upcoming) in self._assisting:
             return bool(len(self.assisting(piece, placed, upcoming, direction)))
         way = direction * way_length(self.assembly, upcoming, direction)
-        indices, inserting = self._clear_of_way(piece, placed, upcoming, way), self.candidates(upcoming, placed)
+        indices, inserting = (
+            self._clear_of_way(piece, placed, upcoming, way),
+            self.candidates(upcoming, placed),
+        )
         if not len(indices) or not len(inserting):
             return False
         few, some = (chosen[:: max(1, len(chosen) // FEW)] for chosen in (indices, inserting))
@@ -195,22 +217,31 @@ class Qualities:
         return bool(len(self.assisting(piece, placed, upcoming, direction)))
 
     def _clear_of_way(self, piece: int, placed: Placed, upcoming: int, way: Array) -> Indices:
-        """Indices of the accessible grasps of a placed piece whose hand is clear of the next piece all along its way (3,)."""
+        """Indices of the accessible grasps of a placed piece whose hand is clear of the next piece all along
+        its way (3,)."""
         key = (piece, placed, upcoming)
         if key not in self._spared:
             indices = self.accessible(piece, placed)
-            # the hand seen from the incoming piece moves along the direction: sweep the hand instead of the piece
-            clear = clear_of_scene(self._holding(piece, indices, way), self.assembly.goal_parts[upcoming], None)
+            # the hand seen from the incoming piece moves along the direction: sweep the hand instead of the
+            # piece
+            clear = clear_of_scene(
+                self._holding(piece, indices, way), self.assembly.goal_parts[upcoming], None
+            )
             self._spared[key] = indices[clear]
         return self._spared[key]
 
-    def _find_assisting(self, piece: int, placed: Placed, upcoming: int | None, direction: Array | None) -> Indices:
+    def _find_assisting(
+        self, piece: int, placed: Placed, upcoming: int | None, direction: Array | None
+    ) -> Indices:
         if upcoming is None or direction is None:
             return self.accessible(piece, placed)
         way = direction * way_length(self.assembly, upcoming, direction)
         indices = self._clear_of_way(piece, placed, upcoming, way)
         inserting, clear = self.candidates(upcoming, placed), np.zeros(len(indices), bool)
-        for few in (inserting[:: max(1, len(inserting) // SPREAD)], inserting):  # a few that are spread out mostly suffice
+        for few in (
+            inserting[:: max(1, len(inserting) // SPREAD)],
+            inserting,
+        ):  # a few that are spread out mostly suffice
             left = np.flatnonzero(~clear)
             if not len(left) or not len(few):
                 break
@@ -219,7 +250,8 @@ class Qualities:
         return indices[clear]
 
     def together(self, held: Placed, placed: Placed, upcoming: int | None, direction: Array | None) -> bool:
-        """Whether several hands can hold several pieces at once: with grasps clear of each other and of the incoming hand."""
+        """Whether several hands can hold several pieces at once: with grasps clear of each other and of the
+        incoming hand."""
         pieces = sorted(held)
         chosen = [self.assisting(k, placed, upcoming, direction) for k in pieces]
         chosen = [indices[:: max(1, len(indices) // (2 * SPREAD))] for indices in chosen]
@@ -227,8 +259,13 @@ class Qualities:
         if upcoming is not None and direction is not None:
             inserting = self.candidates(upcoming, placed)
             few = inserting[:: max(1, len(inserting) // (2 * SPREAD))]
-            sweeps.append(self._arriving(upcoming, few, direction * way_length(self.assembly, upcoming, direction)))
-        clear = {(i, j): hands_clear(sweeps[i], sweeps[j]) for i, j in itertools.combinations(range(len(sweeps)), 2)}
+            sweeps.append(
+                self._arriving(upcoming, few, direction * way_length(self.assembly, upcoming, direction))
+            )
+        clear = {
+            (i, j): hands_clear(sweeps[i], sweeps[j])
+            for i, j in itertools.combinations(range(len(sweeps)), 2)
+        }
 
         def extend(picked: list[int]) -> bool:
             k = len(picked)
@@ -244,29 +281,45 @@ class Qualities:
     def _holding(self, piece: int, indices: Indices, sweep: Array | None = None) -> HandSweep:
         """The hand as it holds a placed piece with some of its grasps."""
         chosen = self.grasps(piece).take(indices)
-        return sweep_hand(self.hand, self.assembly.goals[piece] @ chosen.Ts_piece_tcp, chosen.widths, way_out=0.0, sweep=sweep)
+        return sweep_hand(
+            self.hand,
+            self.assembly.goals[piece] @ chosen.Ts_piece_tcp,
+            chosen.widths,
+            way_out=0.0,
+            sweep=sweep,
+        )
 
     def _arriving(self, piece: int, indices: Indices, way: Array) -> HandSweep:
         """The hand as it brings a piece along its way (3,) [m], lets go and leaves."""
         chosen = self.grasps(piece).take(indices)
-        return sweep_hand(self.hand, self.assembly.goals[piece] @ chosen.Ts_piece_tcp, chosen.widths, sweep=-way)
+        return sweep_hand(
+            self.hand, self.assembly.goals[piece] @ chosen.Ts_piece_tcp, chosen.widths, sweep=-way
+        )
 
     def _enters(self, piece: int, other: int, direction: Array) -> Mask:
-        """Which grasps of `piece` keep the hand clear of another body all along the insertion of the piece: bool (n,)."""
+        """Which grasps of `piece` keep the hand clear of another body all along the insertion of the piece:
+        bool (n,)."""
         key = (piece, other, tuple(np.round(direction, 6)))
         if key not in self._entering:
             # a grasp that is not clear at the goal is no candidate anyway
             left = np.flatnonzero(self._clear_of(piece, other) & self._clear_of(piece, SUPPORT))
             grasps, goal = self.grasps(piece).take(left), self.assembly.goals[piece]
             way = direction * way_length(self.assembly, piece, direction)
-            sweep = sweep_hand(self.hand, goal @ grasps.Ts_piece_tcp, grasps.widths, opening=0.0, way_out=0.0, sweep=-way)
-            hulls, height = ((), self.assembly.support.height) if other == SUPPORT else (self.assembly.goal_parts[other], None)
+            sweep = sweep_hand(
+                self.hand, goal @ grasps.Ts_piece_tcp, grasps.widths, opening=0.0, way_out=0.0, sweep=-way
+            )
+            hulls, height = (
+                ((), self.assembly.support.height)
+                if other == SUPPORT
+                else (self.assembly.goal_parts[other], None)
+            )
             self._entering[key] = np.zeros(len(self.grasps(piece)), bool)
             self._entering[key][left[clear_of_scene(sweep, hulls, height)]] = True
         return self._entering[key]
 
     def _clear_of(self, piece: int, other: int) -> Mask:
-        """Which grasps of `piece` keep the hand and its way out clear of one other piece, or of the support: bool (n,)."""
+        """Which grasps of `piece` keep the hand and its way out clear of one other piece, or of the support:
+        bool (n,)."""
         key = (piece, other)
         if key not in self._clear:
             grasps, goal = self.grasps(piece), self.assembly.goals[piece]

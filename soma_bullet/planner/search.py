@@ -1,8 +1,8 @@
 """Search over assembly orders: all of them where they are few, otherwise the best ones, exactly.
 
-An order's score is the product of the minima of its qualities (paper Sec. IV-G). A minimum only falls as an order grows, so
-that of two ways to the same situation the one that is nowhere worse makes the other needless: labels on subsets, not on orders.
-"""
+An order's score is the product of the minima of its qualities (paper Sec. IV-G). A minimum only falls as an
+order grows, so that of two ways to the same situation the one that is nowhere worse makes the other needless:
+labels on subsets, not on orders."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from typing import Protocol
 
 Placed = frozenset[int]
 NOTHING: Placed = frozenset()
-Cost = tuple[int, int, int, int]  # pieces gripped again, pieces held, states that depend on clearance, changes of hold
+Cost = tuple[
+    int, int, int, int
+]  # pieces gripped again, pieces held, states that depend on clearance, changes of hold
 FREE: Cost = (0, 0, 0, 0)
 
 
@@ -44,7 +46,8 @@ class Steps(Protocol):
         """Qualities of inserting `piece`; a 0 rules it out."""
 
     def supports(self, before: Placed, piece: int, held: Placed, upcoming: int | None) -> tuple[Support, ...]:
-        """What may be held after `piece` went into `before` with `held` held, until `upcoming` goes in (None: the end)."""
+        """What may be held after `piece` went into `before` with `held` held, until `upcoming` goes in (None:
+        the end)."""
 
 
 def score_of(minima: tuple[float, ...]) -> float:
@@ -96,7 +99,10 @@ def pareto_holds(
         for support in supports(placed, piece, held, upcoming):
             for smallest, cost, path, values in labels:
                 worst, total = min(smallest, support.quality), _added(cost, support.cost)
-                _keep(after.setdefault(support.held, []), (worst, total, (*path, support.held), (*values, support.quality)))
+                _keep(
+                    after.setdefault(support.held, []),
+                    (worst, total, (*path, support.held), (*values, support.quality)),
+                )
     return after
 
 
@@ -146,7 +152,9 @@ def follow(supports: Supports, order: tuple[int, ...]) -> Followed:
 def follow_all(steps: Steps) -> Iterator[Followed]:
     """Every order, in lexicographic order; parts that orders share are followed once."""
 
-    def extend(order: tuple[int, ...], labels: dict[Placed, list[_Holds]], dead: _Holds | None) -> Iterator[Followed]:
+    def extend(
+        order: tuple[int, ...], labels: dict[Placed, list[_Holds]], dead: _Holds | None
+    ) -> Iterator[Followed]:
         left = [k for k in range(steps.count) if k not in order]
         for piece in left or [None]:  # type: ignore[list-item]
             after, end = labels, dead
@@ -166,8 +174,8 @@ def best_orders(
 ) -> tuple[list[Found], int]:
     """The `count` best orders (fewer where fewer are possible), best first, and how many labels it took.
 
-    Exact: labels leave a queue in the order of their score, which no later step can raise; a label is dropped only where
-    `count` others reach the same situation with no smaller minimum and no larger cost.
+    Exact: labels leave a queue in the order of their score, which no later step can raise; a label is dropped
+    only where `count` others reach the same situation with no smaller minimum and no larger cost.
 
     Args:
         bound: upper bounds of the minima that any completion of a placed set can still reach.
@@ -194,7 +202,9 @@ def best_orders(
         score = score_of(minima)
         if score > 0.0:
             labels.append((label, held))
-            heapq.heappush(queue, (-score, label.cost, label.order, [sorted(h) for h in label.held], len(labels) - 1))
+            heapq.heappush(
+                queue, (-score, label.cost, label.order, [sorted(h) for h in label.held], len(labels) - 1)
+            )
 
     for piece in range(steps.count):
         push(Found((piece,), (), (), (math.inf, *steps.insertion(NOTHING, piece)), FREE), NOTHING, False)
@@ -210,7 +220,10 @@ def best_orders(
             if 0.0 in inserted:
                 continue
             for support in steps.supports(placed, piece, held, upcoming):
-                smallest = (min(label.minima[0], support.quality), *map(min, label.minima[1:], inserted or label.minima[1:]))
+                smallest = (
+                    min(label.minima[0], support.quality),
+                    *map(min, label.minima[1:], inserted or label.minima[1:]),
+                )
                 order = label.order if upcoming is None else (*label.order, upcoming)
                 cost = _added(label.cost, support.cost)
                 grown = Found(order, (*label.held, support.held), (*label.s, support.quality), smallest, cost)

@@ -1,8 +1,8 @@
 """Plans kept by the content of what they follow from, so that the same input is planned once.
 
-The key covers the assembly (its file and its meshes), the hand, the options, the excluded orders, the versions of the packages
-and the source of the planner itself. The seed only picks among orders of equal score: there is a plan for each pick.
-"""
+The key covers the assembly (its file and its meshes), the hand, the options, the excluded orders, the
+versions of the packages and the source of the planner itself. The seed only picks among orders of equal
+score: there is a plan for each pick."""
 
 from __future__ import annotations
 
@@ -30,11 +30,16 @@ def store_folder() -> Path:
 
 
 def kept_plan(
-    assembly: Assembly, hand: Hand, options: PlannerOptions | None = None, excluded: frozenset[tuple[str, ...]] = frozenset()
+    assembly: Assembly,
+    hand: Hand,
+    options: PlannerOptions | None = None,
+    excluded: frozenset[tuple[str, ...]] = frozenset(),
 ) -> AssemblyPlan:
-    """What `make_plan` returns, from the store where it is there; a plan that could not be written is made all the same.
+    """What `make_plan` returns, from the store where it is there; a plan that could not be written is made
+    all the same.
 
-    Assemblies without a digest, and analyzers of one's own, whose source the key cannot cover, are planned each time.
+    Assemblies without a digest, and analyzers of one's own, whose source the key cannot cover, are planned
+    each time.
 
     Raises:
         InputError, NoPlanError: as `make_plan`.
@@ -62,7 +67,9 @@ def kept_plan(
     return plan
 
 
-def _key(assembly: Assembly, hand: Hand, options: PlannerOptions, excluded: frozenset[tuple[str, ...]]) -> str:
+def _key(
+    assembly: Assembly, hand: Hand, options: PlannerOptions, excluded: frozenset[tuple[str, ...]]
+) -> str:
     told = {
         "assembly": assembly.digest,
         "hand": {name: _plain(value) for name, value in vars(hand).items() if name != "urdf"},

@@ -1,4 +1,5 @@
-"""Why the plan is what it is: the chosen order step by step, and the tree of what ruled the others out, most frequent first."""
+"""Why the plan is what it is: the chosen order step by step, and the tree of what ruled the others out, most
+frequent first."""
 
 from __future__ import annotations
 
@@ -18,13 +19,19 @@ MOST_TIES = 6
 
 def explain_plan(plan: AssemblyPlan) -> Tree:
     """The whole explanation of a plan."""
-    tree = Tree(f"[bold]{escape(plan.assembly)}[/], {plan.options.stability} mode, {plan.hand}, {plan.options.hands} hands")
+    tree = Tree(
+        f"[bold]{escape(plan.assembly)}[/], {plan.options.stability} mode, {plan.hand}, "
+        f"{plan.options.hands} hands"
+    )
     tree.add(escape(plan.optimality))
     _add_order(tree, "chosen", PlannedOrder(plan.order, plan.score, plan.steps))
     for k, other in enumerate(plan.alternatives):
         _add_order(tree, f"{k + 2}.", other)
     if plan.ties:
-        ties = tree.add(f"{len(plan.ties)} orders score the same; the seed ({plan.options.seed}) picks among the fewest holds")
+        ties = tree.add(
+            f"{len(plan.ties)} orders score the same; the seed ({plan.options.seed}) picks among the "
+            f"fewest holds"
+        )
         _add_lines(ties, [" <- ".join(order) for order in plan.ties], MOST_TIES)
     if plan.passed_over:
         _add_lines(tree.add("would score better, and cannot be built"), plan.passed_over, MOST_REASONS)
@@ -35,12 +42,15 @@ def explain_plan(plan: AssemblyPlan) -> Tree:
 
 
 def explain_rows(rows: Sequence[OrderRow], tree: Tree) -> Tree:
-    """Add what ruled orders out: by analyzer, then by reason, each with the number of orders that first failed there."""
+    """Add what ruled orders out: by analyzer, then by reason, each with the number of orders that first
+    failed there."""
     blocked = [row for row in rows if not row.feasible]
     if not blocked:
         tree.add(f"none of {len(rows)} orders is ruled out")
         return tree
-    ruled = tree.add(f"{len(blocked)} of {len(rows)} orders are ruled out; the first that fails, and how often")
+    ruled = tree.add(
+        f"{len(blocked)} of {len(rows)} orders are ruled out; the first that fails, and how often"
+    )
     stages: dict[str, Counter[str]] = defaultdict(Counter)
     for row in blocked:
         stages[row.blocked_by][row.reason] += 1
@@ -68,14 +78,21 @@ def _add_order(tree: Tree, label: str, planned: PlannedOrder) -> None:
     for k, step in enumerate(planned.steps):
         leaf = branch.add(f"{k + 1}. [bold]{escape(step.piece)}[/] {_insertion(step)}")
         state = f"then the state is {step.verdict}" + ("" if step.holds else f": it resists {_margin(step)}")
-        leaf.add(state if not step.holds else f"{state} with {' and '.join(escape(hold.piece) for hold in step.holds)} held")
+        leaf.add(
+            state
+            if not step.holds
+            else f"{state} with {' and '.join(escape(hold.piece) for hold in step.holds)} held"
+        )
         for hold in step.holds:
             leaf.add(_hold(hold))
 
 
 def _insertion(step: PlanStep) -> str:
     along = ", ".join(f"{value:.2f}" for value in step.direction)
-    return f"along ({along}) over {step.way * 1e3:.0f} mm; contact type {step.type}; {len(step.grasps)} candidate grasps"
+    return (
+        f"along ({along}) over {step.way * 1e3:.0f} mm; contact type {step.type}; {len(step.grasps)} "
+        f"candidate grasps"
+    )
 
 
 def _margin(step: PlanStep) -> str:
@@ -89,7 +106,9 @@ def _hold(hold: Hold) -> str:
     proof, (fx, fy, fz, *_) = hold.certificate, hold.certificate.wrench
     force = (fx**2 + fy**2 + fz**2) ** 0.5
     return (
-        f"{how} {escape(hold.piece)}: {len(hold.grasps)} assisting grasps; number {hold.grasp} takes {proof.margin:.1f} x the "
-        f"load ({proof.load.push:g} N of the next insertion, {proof.load.disturbance:g} g sideways: {force:.2f} N on it) "
+        f"{how} {escape(hold.piece)}: {len(hold.grasps)} assisting grasps; number {hold.grasp} takes "
+        f"{proof.margin:.1f} x the "
+        f"load ({proof.load.push:g} N of the next insertion, {proof.load.disturbance:g} g sideways: "
+        f"{force:.2f} N on it) "
         f"with {proof.grip_force:g} N of grip at friction {proof.friction:.2f}"
     )

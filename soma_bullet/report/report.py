@@ -1,4 +1,5 @@
-"""The report of an episode: the judgement with all that is needed to run it again, as a file and as a table."""
+"""The report of an episode: the judgement with all that is needed to run it again, as a file and as a
+table."""
 
 from __future__ import annotations
 
@@ -9,8 +10,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from soma_bullet.sim.judge import Judgement, PieceVerdict, Tolerance
-from soma_bullet.sim.log import Event
+from soma_bullet.judge.judge import Judgement, PieceVerdict, Tolerance
+from soma_bullet.world.log import Event
 
 
 @dataclass(frozen=True)
@@ -27,8 +28,9 @@ class EpisodeReport:
         rejections: what the schedule's search ruled out, and how often.
         certificates: held piece -> factor by which the load that its hold must resist could grow.
         makespan_s: simulated time until both hands had let go and left.
-        planned_s: the same as planned, `together`; `one at a time`: what the arms would take one after the other, without ways
-            home that can be spared; `as scheduled`: what they take when nothing moves at the same time (no_together).
+        planned_s: the same as planned, `together`; `one at a time`: what the arms would take one after the
+            other, without ways home that can be spared; `as scheduled`: what they take when nothing moves at
+            the same time (no_together).
         events: what the executive noticed and decided on the way.
         wall_s: wall time of each stage.
         video: its file and renderer, or why there is none.
@@ -59,7 +61,9 @@ class EpisodeReport:
 
 def print_report(report: EpisodeReport, console: Console) -> None:
     """The table that a person reads at the end."""
-    table = Table(title=f"{report.assembly}, seed {report.seed}: {' <- '.join(report.order)}", title_justify="left")
+    table = Table(
+        title=f"{report.assembly}, seed {report.seed}: {' <- '.join(report.order)}", title_justify="left"
+    )
     for heading, justify in (
         ("piece", "left"),
         ("error [mm]", "right"),
@@ -70,13 +74,16 @@ def print_report(report: EpisodeReport, console: Console) -> None:
         table.add_column(escape(heading), justify=justify)  # type: ignore[arg-type]
     for piece in report.pieces:
         mark = "[green]yes[/]" if piece.in_place else "[red]no[/]"
-        table.add_row(piece.name, f"{piece.error_mm:.2f}", f"{piece.error_max_mm:.2f}", f"{piece.error_deg:.2f}", mark)
+        table.add_row(
+            piece.name, f"{piece.error_mm:.2f}", f"{piece.error_max_mm:.2f}", f"{piece.error_deg:.2f}", mark
+        )
     console.print(table)
     judgement = report.judgement
     if judgement.slips:
         slip = max(judgement.slips, key=lambda s: s.slip_mm)
         console.print(
-            f"largest slip in a grasp   {slip.slip_mm:.2f} mm, {slip.slip_deg:.2f} deg ({slip.piece}, {slip.arm} hand)"
+            f"largest slip in a grasp   {slip.slip_mm:.2f} mm, {slip.slip_deg:.2f} deg ({slip.piece}, "
+            f"{slip.arm} hand)"
         )
     for hold in judgement.holds:
         margin = report.certificates.get(hold.piece)
@@ -87,7 +94,8 @@ def print_report(report: EpisodeReport, console: Console) -> None:
         )
     for insertion in judgement.insertions:
         console.print(
-            f"placing {insertion.piece:<12} peak {insertion.peak_n:.1f} N at the {insertion.arm} wrist, {insertion.outcome}"
+            f"placing {insertion.piece:<12} peak {insertion.peak_n:.1f} N at the {insertion.arm} wrist, "
+            f"{insertion.outcome}"
         )
     stages = "   ".join(f"{name} {seconds:.1f} s" for name, seconds in report.wall_s.items())
     console.print(f"wall time   {stages}")
@@ -96,17 +104,23 @@ def print_report(report: EpisodeReport, console: Console) -> None:
         if event.kind != "looked":
             console.print(f"{event.time:7.1f} s   {event.kind}: {event.piece} {event.text}", markup=False)
     if report.success:
-        console.print("[bold green]success[/]: every piece is in place, nothing was dropped, nothing forbidden was touched")
+        console.print(
+            "[bold green]success[/]: every piece is in place, nothing was dropped, nothing forbidden was "
+            "touched"
+        )
     else:
         console.print("[bold red]failure[/]: " + "; ".join(report.judgement.causes))
 
 
 def _saved(planned: dict[str, float]) -> str:
     """What the arms gain by moving at the same time, where that was planned."""
-    together, alone, scheduled = (planned.get(name, np.nan) for name in ("together", "one at a time", "as scheduled"))
+    together, alone, scheduled = (
+        planned.get(name, np.nan) for name in ("together", "one at a time", "as scheduled")
+    )
     if not np.isfinite(together) or not np.isfinite(alone):
         return ""
     return (
-        f"; planned {together:.1f} s, {1.0 - together / scheduled:.0%} less than {scheduled:.1f} s as scheduled, "
+        f"; planned {together:.1f} s, {1.0 - together / scheduled:.0%} less than {scheduled:.1f} s as "
+        f"scheduled, "
         f"{1.0 - together / alone:.0%} less than {alone:.1f} s with one arm at a time at its best"
     )

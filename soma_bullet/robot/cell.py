@@ -24,7 +24,9 @@ from soma_bullet.toml_fields import Fields, read_toml
 
 def cell_folders() -> list[Path]:
     """Where cells are looked for by name: the installed package, then the checkout."""
-    spec = util.find_spec("soma_bullet.robots")  # data without an __init__: a namespace package, with a list of places
+    spec = util.find_spec(
+        "soma_bullet.robots"
+    )  # data without an __init__: a namespace package, with a list of places
     folders = [Path(place) for place in (spec.submodule_search_locations or ())] if spec is not None else []
     return [*folders, Path(__file__).resolve().parents[2] / "robots"]
 
@@ -37,12 +39,14 @@ def _find_cell(name_or_path: str | Path) -> Path:
             return path.resolve()
     names = sorted({path.parent.name for folder in cell_folders() for path in folder.glob("*/cell.toml")})
     raise InputError(
-        str(name_or_path), f"no such cell; tried {', '.join(map(str, tried))}; known cells: {', '.join(names) or 'none'}"
+        str(name_or_path),
+        f"no such cell; tried {', '.join(map(str, tried))}; known cells: {', '.join(names) or 'none'}",
     )
 
 
 def find_hand(name_or_path: str | Path) -> Hand:
-    """The hand of a hand.toml, of a folder that has one, or of a cell's name under `robots/`; nothing else of the cell is read.
+    """The hand of a hand.toml, of a folder that has one, or of a cell's name under `robots/`; nothing else of
+    the cell is read.
 
     Raises:
         InputError: there is none, or with every fault of the file.
@@ -54,7 +58,8 @@ def find_hand(name_or_path: str | Path) -> Hand:
             return load_hand(path.resolve())
     names = sorted({path.parent.name for folder in cell_folders() for path in folder.glob("*/hand.toml")})
     raise InputError(
-        str(name_or_path), f"no such hand; tried {', '.join(map(str, tried))}; known hands: {', '.join(names) or 'none'}"
+        str(name_or_path),
+        f"no such hand; tried {', '.join(map(str, tried))}; known hands: {', '.join(names) or 'none'}",
     )
 
 
@@ -81,11 +86,16 @@ def load_cell(name_or_path: str | Path) -> Cell:
         arm = _read_arm(Fields(item, faults, f"arms[{i}]."), models, path, scale)
         arms += [arm] if arm else []
     arm_names = [arm.name for arm in arms]
-    faults += [f"arms: two of them are called {n!r}" for n in sorted(set(arm_names)) if arm_names.count(n) > 1]
+    faults += [
+        f"arms: two of them are called {n!r}" for n in sorted(set(arm_names)) if arm_names.count(n) > 1
+    ]
 
     table, stand, feed, collision = (fields.table(key) for key in ("table", "stand", "feed", "collision"))
-    slab = Slab(readonly(table.numbers("size", (3,)) * scale), readonly(table.numbers("centre", (2,)) * scale),
-                _colour(table, "colour"))  # fmt: skip
+    slab = Slab(
+        readonly(table.numbers("size", (3,)) * scale),
+        readonly(table.numbers("centre", (2,)) * scale),
+        _colour(table, "colour"),
+    )
     height, centre = stand.number("height") * scale, readonly(stand.numbers("centre", (2,)) * scale)
     stand_colour = _colour(stand, "colour")
     areas = readonly(feed.numbers("areas", (-1, 2, 2)) * scale)
@@ -140,13 +150,16 @@ def _read_model(name: str, fields: Fields, path: Path, scale: float) -> ArmModel
     links, joint_map = {link.name for link in robot.links}, {joint.name: joint for joint in robot.joints}
     for link in (base, tool, *swaps["collision"], *swaps["visual"], *colours):
         if link not in links:
-            faults.append(f"arm_models.{name}: {link!r} is not a link of {urdf.name}; it has {', '.join(sorted(links))}")
+            faults.append(
+                f"arm_models.{name}: {link!r} is not a link of {urdf.name}; it has {', '.join(sorted(links))}"
+            )
     faults += [f"arm_models.{name}.joints: {joint!r} is not a joint with limits in {urdf.name}"
                for joint in joints if joint not in joint_map or joint_map[joint].limit is None]  # fmt: skip
     if len(faults) > before:
         return None
     lower, upper, velocity, effort = (
-        readonly([getattr(joint_map[joint].limit, key) for joint in joints]) for key in ("lower", "upper", "velocity", "effort")
+        readonly([getattr(joint_map[joint].limit, key) for joint in joints])
+        for key in ("lower", "upper", "velocity", "effort")
     )
     return ArmModel(
         name, urdf, base, tool, joints, lower, upper, velocity, readonly(acceleration), effort,
@@ -158,10 +171,14 @@ def _read_swap(fields: Fields, urdf: Path | None, scale: float) -> MeshSwap:
     origin = None
     if "origin" in fields:
         table = fields.table("origin")
-        rotation = Rotation.from_euler("xyz", np.nan_to_num(table.numbers("rpy_deg", (3,))), degrees=True).as_matrix()
+        rotation = Rotation.from_euler(
+            "xyz", np.nan_to_num(table.numbers("rpy_deg", (3,))), degrees=True
+        ).as_matrix()
         origin = readonly(make_transform(rotation, table.numbers("xyz", (3,)) * scale))
         table.close()
-    meshes = tuple(mesh_file(mesh, urdf.parent, fields.faults) for mesh in fields.texts("meshes")) if urdf else ()
+    meshes = (
+        tuple(mesh_file(mesh, urdf.parent, fields.faults) for mesh in fields.texts("meshes")) if urdf else ()
+    )
     fields.close()
     return MeshSwap(meshes, origin)
 
@@ -170,7 +187,9 @@ def _read_arm(fields: Fields, models: Mapping[str, ArmModel | None], path: Path,
     faults = fields.faults
     name, model_name = fields.text("name"), fields.text("model")
     if model_name and model_name not in models:
-        faults.append(f"arm {name}: model {model_name!r} is not among arm_models: {', '.join(models) or 'none'}")
+        faults.append(
+            f"arm {name}: model {model_name!r} is not among arm_models: {', '.join(models) or 'none'}"
+        )
     base = fields.table("base")
     xyz, yaw = base.numbers("xyz", (3,)) * scale, np.deg2rad(base.number("yaw_deg", positive=False))
     base.close()
@@ -209,13 +228,18 @@ def _package_file(package: str, file: str, path: Path, faults: list[str]) -> Pat
 
 
 def mesh_file(mesh: str, folder: Path, faults: list[str]) -> Path:
-    """The absolute path of a mesh that a URDF in `folder` names; `package://a/b` is looked up as package and as folder."""
+    """The absolute path of a mesh that a URDF in `folder` names; `package://a/b` is looked up as package and
+    as folder."""
     tried = [folder / mesh]
     if mesh.startswith("package://"):
         package, _, rest = mesh.removeprefix("package://").partition("/")
         spec = util.find_spec(package) if package.isidentifier() else None
         roots = [Path(p) for p in (spec.submodule_search_locations or ())] if spec else []
-        tried = [root / rest for root in roots] + [parent / package / rest for parent in folder.parents] + [folder / rest]
+        tried = (
+            [root / rest for root in roots]
+            + [parent / package / rest for parent in folder.parents]
+            + [folder / rest]
+        )
     for file in tried:
         if file.is_file():
             return file.resolve()

@@ -1,8 +1,8 @@
-"""Collision checks for planning: both arms, hands, pieces, table and stand, with coal on pinocchio's geometry.
+"""Collision checks for planning: both arms, hands, pieces, table and stand, with coal on pinocchio's
+geometry.
 
-A `Scene` is one situation: where the pieces are, what a hand carries, which arm moves, which contacts are meant.
-Bodies are called by their link (`left_palm`, `table`, `stand`) or by their piece.
-"""
+A `Scene` is one situation: where the pieces are, what a hand carries, which arm moves, which contacts are
+meant. Bodies are called by their link (`left_palm`, `table`, `stand`) or by their piece."""
 
 from __future__ import annotations
 
@@ -63,7 +63,9 @@ class CollisionModel:
             self.bodies += [name] * len(parts)
         self.arms = {body: self._arm_of(body) for body in self.bodies}
         self.arm_of = [self.arms[body] for body in self.bodies]
-        self.hand_links = {link for arm in robot.cell.arms for link in (*arm.finger_links, arm.prefixed(arm.hand.palm_link))}
+        self.hand_links = {
+            link for arm in robot.cell.arms for link in (*arm.finger_links, arm.prefixed(arm.hand.palm_link))
+        }
         self.robot_pairs = self._robot_pairs()
 
     def _add_part(self, name: str, part: Hull) -> tuple[int, pin.SE3]:
@@ -96,7 +98,11 @@ class CollisionModel:
                 next_to = i == model.parents[j] or j == model.parents[i]
                 # the world is a neighbour of no joint, except that an arm's own base is its shoulder's
                 own = 0 not in (i, j) or self.arm_of[a] == self.arm_of[b]
-                if i != j and not (next_to and own) and frozenset((self.bodies[a], self.bodies[b])) not in never:
+                if (
+                    i != j
+                    and not (next_to and own)
+                    and frozenset((self.bodies[a], self.bodies[b])) not in never
+                ):
                     pairs.append((a, b))
         return pairs
 
@@ -121,7 +127,8 @@ class Scene:
         for name, (arm, T_tcp_piece) in situation.carried.items():
             self.attach(name, arm, T_tcp_piece)
         margins = []
-        known: dict[tuple[str, str, bool], float | None] = {}  # the shapes of a body are alike, but for where they hang
+        # the shapes of a body are alike, but for where they hang
+        known: dict[tuple[str, str, bool], float | None] = {}
         joints = [shape.parentJoint for shape in self.geometry.geometryObjects]
         for a, b in [*model.robot_pairs, *self._piece_pairs()]:
             alike = (model.bodies[a], model.bodies[b], joints[a] == joints[b])
@@ -146,14 +153,16 @@ class Scene:
     def swept(self, arm: int, travel: float) -> Scene:
         """The same scene with an arm's fingers as the space that they sweep while each opens by `travel` [m].
 
-        Its configurations have the hand as wide as where it begins: one check stands for all widths of the way.
-        """
+        Its configurations have the hand as wide as where it begins: one check stands for all widths of the
+        way."""
         other = copy(self)
         other.geometry = self.geometry.copy()
         axes = self.robot.finger_axes(arm)
         for shape in other.geometry.geometryObjects:
             if shape.parentJoint in axes:
-                shape.geometry, shape.placement = _swept(shape.geometry, shape.placement, axes[shape.parentJoint] * travel)
+                shape.geometry, shape.placement = _swept(
+                    shape.geometry, shape.placement, axes[shape.parentJoint] * travel
+                )
         other.data = self.robot.model.createData()
         other._prepare()
         return other
@@ -191,8 +200,8 @@ class Scene:
         return carried[0] if carried is not None else self.collision_model.arms[body]
 
     def _margin(self, a: str, b: str, rigid: bool) -> float | None:
-        """Margin [m] of shapes of two bodies, or of one body; None where it need not be checked: both at rest, or rigid (on the
-        same joint), or a hand and what it grips."""
+        """Margin [m] of shapes of two bodies, or of one body; None where it need not be checked: both at
+        rest, or rigid (on the same joint), or a hand and what it grips."""
         moving = self.situation.moving
         movers = {self._mover(a), self._mover(b)}
         if movers & self.situation.absent:
@@ -203,7 +212,9 @@ class Scene:
         for piece, arm in self.situation.gripped.items():
             if piece in names:
                 other = next(iter(names - {piece}), piece)
-                if other in self.collision_model.hand_links and other.startswith(self.robot.arm(arm).name + "_"):
+                if other in self.collision_model.hand_links and other.startswith(
+                    self.robot.arm(arm).name + "_"
+                ):
                     return None
         if names in self.situation.touching:
             return TOUCH_MARGIN
@@ -216,10 +227,15 @@ class Scene:
     def collides(self, configuration: Array) -> bool:
         """Whether anything that moves comes nearer than its margin to anything else."""
         if self._broad_phase is None:
-            # with some fifty shapes that nearly all move, to compare all boxes is faster than to keep a tree of them
-            self._broad_phase = pin.BroadPhaseManager_NaiveCollisionManager(self.robot.model, self.geometry, self.geometry_data)
+            # with some fifty shapes that nearly all move, to compare all boxes is faster than to keep a tree
+            # of them
+            self._broad_phase = pin.BroadPhaseManager_NaiveCollisionManager(
+                self.robot.model, self.geometry, self.geometry_data
+            )
             self._found = pin.CollisionCallBackDefault(self.geometry, self.geometry_data, True)
-        return bool(pin.computeCollisions(self.robot.model, self.data, self._broad_phase, self._found, configuration))
+        return bool(
+            pin.computeCollisions(self.robot.model, self.data, self._broad_phase, self._found, configuration)
+        )
 
     @property
     def met(self) -> tuple[str, str]:
@@ -239,13 +255,18 @@ class Scene:
         return sorted(((a, b, d) for (a, b), d in found.items()), key=lambda item: item[2])
 
 
-def _swept(shape: coal.CollisionGeometry, place: pin.SE3, offset: Array) -> tuple[coal.CollisionGeometry, pin.SE3]:
-    """What a box or a convex body at `place` sweeps when it is shifted by `offset` (3,) [m], and where that is."""
+def _swept(
+    shape: coal.CollisionGeometry, place: pin.SE3, offset: Array
+) -> tuple[coal.CollisionGeometry, pin.SE3]:
+    """What a box or a convex body at `place` sweeps when it is shifted by `offset` (3,) [m], and where that
+    is."""
     along = np.array(place.rotation).T @ offset
     if isinstance(shape, coal.Box):
         half = np.array(shape.halfSide)
         if np.count_nonzero(np.abs(along) > STRAIGHT) <= 1:
-            return coal.Box(*(2 * half + np.abs(along))), pin.SE3(place.rotation, place.translation + offset / 2)
+            return coal.Box(*(2 * half + np.abs(along))), pin.SE3(
+                place.rotation, place.translation + offset / 2
+            )
         corners = half * (2 * np.indices((2, 2, 2)).reshape(3, -1).T - 1.0)
     else:
         corners = np.array(shape.points())

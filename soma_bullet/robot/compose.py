@@ -27,15 +27,17 @@ def compose_urdf(
     arms: Sequence[Arm] | None = None,
     frames: Collection[str] | None = None,
 ) -> Path:
-    """Writes the whole cell as one URDF: `world`, `table`, `stand`, then each arm and its hand under the arm's prefix.
+    """Writes the whole cell as one URDF: `world`, `table`, `stand`, then each arm and its hand under the
+    arm's prefix.
 
     Args:
         stand_size_xy: the stand's footprint [m], from the assembly's.
         fixtures: table and stand; a simulator may want them as bodies of their own.
         visuals: without them the file loads faster and shows nothing but table and stand.
-        arms: these of the cell's arms; None for all. A simulator solves arms that are bodies of their own faster.
-        frames: links without mass and shape that stay, by name; None for all. A simulator goes through each of them for every
-            contact.
+        arms: these of the cell's arms; None for all. A simulator solves arms that are bodies of their own
+            faster.
+        frames: links without mass and shape that stay, by name; None for all. A simulator goes through each
+            of them for every contact.
 
     Raises:
         InputError: with every mesh that is not found, and all places tried; or with names that collide.
@@ -50,7 +52,9 @@ def compose_urdf(
         faults.append(f"stand_size_xy = {stand_size_xy}: must be positive")
     robot = u.Robot(name=cell.name, links=[u.Link(name="world", inertial=_tiny())])
     if fixtures:
-        _add_box(robot, "table", cell.table.size, (*cell.table.centre, -cell.table.size[2] / 2), cell.table.colour)
+        _add_box(
+            robot, "table", cell.table.size, (*cell.table.centre, -cell.table.size[2] / 2), cell.table.colour
+        )
         _add_box(robot, "stand", stand_size, (*cell.stand_centre, cell.stand_height / 2), cell.stand_colour)
     for arm in cell.arms if arms is None else arms:
         part = _prepared(arm, faults)
@@ -73,7 +77,9 @@ def compose_urdf(
     path_out.parent.mkdir(parents=True, exist_ok=True)
     model = yourdfpy.URDF(robot=robot, build_scene_graph=False, load_meshes=False)
     # PyBullet garbles lines of several kB: one element a line.
-    path_out.write_bytes(etree.tostring(model.write_xml(), xml_declaration=True, encoding="utf-8", pretty_print=True))
+    path_out.write_bytes(
+        etree.tostring(model.write_xml(), xml_declaration=True, encoding="utf-8", pretty_print=True)
+    )
     return path_out
 
 
@@ -82,7 +88,13 @@ def _leave_out_frames(robot: Any, kept: Collection[str]) -> None:
     above = {joint.child: joint for joint in robot.joints}
     for link in list(robot.links):
         up = above.get(link.name)
-        if link.name in kept or link.collisions or link.inertial.mass > _TINY_MASS or up is None or up.type != "fixed":
+        if (
+            link.name in kept
+            or link.collisions
+            or link.inertial.mass > _TINY_MASS
+            or up is None
+            or up.type != "fixed"
+        ):
             continue
         for joint in robot.joints:
             if joint.parent == link.name:
@@ -116,9 +128,15 @@ def _add_box(robot: Any, name: str, size: Array, centre: tuple[float, ...], rgb:
         name=name, inertial=_tiny(), collisions=[u.Collision(name=None, origin=np.eye(4), geometry=shape)],
         visuals=[u.Visual(origin=np.eye(4), geometry=shape, material=_material(f"{name}_colour", rgb))],
     ))  # fmt: skip
-    robot.joints.append(u.Joint(
-        name=f"{name}_joint", type="fixed", parent="world", child=name, origin=make_transform(translation=centre)
-    ))  # fmt: skip
+    robot.joints.append(
+        u.Joint(
+            name=f"{name}_joint",
+            type="fixed",
+            parent="world",
+            child=name,
+            origin=make_transform(translation=centre),
+        )
+    )
 
 
 def _prepared(arm: Arm, faults: list[str]) -> Any:
@@ -131,7 +149,9 @@ def _prepared(arm: Arm, faults: list[str]) -> Any:
         if link.name in model.collision:
             swap, old = model.collision[link.name], link.collisions
             origin = swap.origin if swap.origin is not None else old[0].origin if old else np.eye(4)
-            link.collisions = [u.Collision(name=None, origin=origin, geometry=_mesh(file)) for file in swap.meshes]
+            link.collisions = [
+                u.Collision(name=None, origin=origin, geometry=_mesh(file)) for file in swap.meshes
+            ]
         if link.name in model.visual:
             swap, old = model.visual[link.name], link.visuals
             origin = swap.origin if swap.origin is not None else old[0].origin if old else np.eye(4)
@@ -166,7 +186,9 @@ def _append(robot: Any, part: Any, prefix: str, parent: str, root: str, T_parent
     """Adds a robot to another under a prefix, its root link fixed to `parent`."""
     from yourdfpy import urdf as u
 
-    robot.joints.append(u.Joint(name=f"{root}_joint", type="fixed", parent=parent, child=root, origin=np.array(T_parent_root)))
+    robot.joints.append(
+        u.Joint(name=f"{root}_joint", type="fixed", parent=parent, child=root, origin=np.array(T_parent_root))
+    )
     for link in copy.deepcopy(part.links):
         link.name = f"{prefix}_{link.name}"
         for visual in link.visuals:
@@ -174,5 +196,7 @@ def _append(robot: Any, part: Any, prefix: str, parent: str, root: str, T_parent
                 visual.material.name = f"{prefix}_{visual.material.name}"
         robot.links.append(link)
     for joint in copy.deepcopy(part.joints):
-        joint.name, joint.parent, joint.child = (f"{prefix}_{n}" for n in (joint.name, joint.parent, joint.child))
+        joint.name, joint.parent, joint.child = (
+            f"{prefix}_{n}" for n in (joint.name, joint.parent, joint.child)
+        )
         robot.joints.append(joint)

@@ -21,9 +21,8 @@ FK_ERROR = 1e-6  # [m, and rad] an inverse-kinematics branch that misses its pos
 class Robot:
     """The cell's arms as one kinematic model.
 
-    Configurations: `q` (6,) is one arm's joints [rad]; `qs` (arms, 6) all arms'; `openings` (arms,) the distances between
-    the pads [m].
-    """
+    Configurations: `q` (6,) is one arm's joints [rad]; `qs` (arms, 6) all arms'; `openings` (arms,) the
+    distances between the pads [m]."""
 
     def __init__(self, cell: Cell, stand_size: tuple[float, float]):
         self.cell = cell
@@ -72,7 +71,8 @@ class Robot:
         return self._arm_slots[arm]
 
     def finger_axes(self, arm: int) -> dict[int, Array]:
-        """For every finger pinocchio's joint, and the unit vector (3,) along which it opens, seen from that joint."""
+        """For every finger pinocchio's joint, and the unit vector (3,) along which it opens, seen from that
+        joint."""
         found = {}
         for name, slot in zip(self.arm(arm).finger_joints, self._finger_slots[arm], strict=True):
             joint, ends = self.model.getJointId(name), []
@@ -92,7 +92,8 @@ class Robot:
         return np.array(self.data.oMf[self._tcp_frames[arm]].homogeneous)
 
     def jacobian(self, arm: int, q: Array) -> Array:
-        """Twist of one arm's TCP for the rates of its joints (6, n) at q (n,): translation, then rotation, in world axes."""
+        """Twist of one arm's TCP for the rates of its joints (6, n) at q (n,): translation, then rotation, in
+        world axes."""
         full = np.zeros(self.model.nq)
         full[self._arm_slots[arm]] = q
         frame = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
@@ -121,10 +122,13 @@ class Robot:
                 continue
             if np.abs(self.tcp(arm, q) - T_world_tcp).max() < FK_ERROR:
                 kept.append(q)
-        return np.array(sorted(kept, key=lambda q: round(float(np.abs(q - reference).max()), 9))).reshape(-1, 6)
+        return np.array(sorted(kept, key=lambda q: round(float(np.abs(q - reference).max()), 9))).reshape(
+            -1, 6
+        )
 
     def follow(self, arm: int, T_world_tcp: Array, previous: Array) -> Array | None:
-        """The joints (6,) nearest to `previous` that reach a TCP pose (4, 4): one step along a line; None where none do."""
+        """The joints (6,) nearest to `previous` that reach a TCP pose (4, 4): one step along a line; None
+        where none do."""
         solver, rotation_home = self._solvers[arm]
         pose = np.array(T_world_tcp)
         pose[:3, :3] = pose[:3, :3] @ rotation_home.T
@@ -156,7 +160,10 @@ def _span(slots: list[int]) -> Slots:
 
 
 def nearest_turn(q: Array, reference: Array, lower: Array, upper: Array) -> Array | None:
-    """q (6,) shifted by whole turns to lie nearest to `reference` within the limits; None where no turn is within."""
+    """q (6,) shifted by whole turns to lie nearest to `reference` within the limits; None where no turn is
+    within."""
     turned = reference + (q - reference + np.pi) % (2 * np.pi) - np.pi
-    turned = np.where(turned > upper, turned - 2 * np.pi, np.where(turned < lower, turned + 2 * np.pi, turned))
+    turned = np.where(
+        turned > upper, turned - 2 * np.pi, np.where(turned < lower, turned + 2 * np.pi, turned)
+    )
     return None if np.any(turned > upper) or np.any(turned < lower) else turned

@@ -19,7 +19,8 @@ from soma_bullet.grasp.hand import Hand
 
 @dataclass(frozen=True)
 class MeshSwap:
-    """Meshes that replace a link's own; `origin` (4, 4) is None where they stand as the link's first one stood."""
+    """Meshes that replace a link's own; `origin` (4, 4) is None where they stand as the link's first one
+    stood."""
 
     meshes: tuple[Path, ...]
     origin: Array | None
@@ -30,7 +31,8 @@ class ArmModel:
     """An arm's URDF and what to change in it; names as in that URDF.
 
     Attributes:
-        lower, upper [rad]; velocity [rad/s]; acceleration [rad/s^2]; effort [N m]: each (n,), ordered as `joints`.
+        lower, upper [rad]; velocity [rad/s]; acceleration [rad/s^2]; effort [N m]: each (n,), ordered as
+        `joints`.
         collision, visual, colours: per link, what replaces its meshes, and its rgb (0..1).
     """
 
@@ -119,7 +121,8 @@ class Arm:
 
 @dataclass(frozen=True)
 class Slab:
-    """A box of the cell: size (3,) and centre (2,) in x and y [m]; the table's top is z = 0, the stand's bottom."""
+    """A box of the cell: size (3,) and centre (2,) in x and y [m]; the table's top is z = 0, the stand's
+    bottom."""
 
     size: Array
     centre: Array
@@ -131,7 +134,8 @@ class Cell:
     """A described cell; lengths in m, angles in rad.
 
     Attributes:
-        stand_height, stand_centre (2,): the top of the stand, which the assembly stands on; its width is the assembly's.
+        stand_height, stand_centre (2,): the top of the stand, which the assembly stands on; its width is the
+            assembly's.
         feed_areas (k, 2, 2): each ((x_min, x_max), (y_min, y_max)) on the table.
         never_checked: pairs of link names that are not checked for collision, beside joint neighbours.
     """

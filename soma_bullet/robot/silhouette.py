@@ -1,4 +1,5 @@
-"""One arm with its hand and what it carries, as shapes that can be placed and measured against those of another arm."""
+"""One arm with its hand and what it carries, as shapes that can be placed and measured against those of
+another arm."""
 
 from __future__ import annotations
 
@@ -19,8 +20,8 @@ SAME_PLACE = 5e-3  # [m] shapes of an obstacle of which no point is farther from
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Shapes in the world: rotations (n, 3, 3), origins (n, 3) [m], centres (n, 3) and radii (n,) [m] of balls around them,
-    and which (n,) are links of the arm, not of its hand or of what that carries."""
+    """Shapes in the world: rotations (n, 3, 3), origins (n, 3) [m], centres (n, 3) and radii (n,) [m] of
+    balls around them, and which (n,) are links of the arm, not of its hand or of what that carries."""
 
     shapes: Sequence[coal.CollisionGeometry]
     rotations: Array
@@ -40,7 +41,9 @@ class Placed:
 class Silhouette:
     """One arm with its hand `opening` [m] wide and (piece, T_tcp_piece) in it, or nothing."""
 
-    def __init__(self, model: CollisionModel, arm: int, opening: float, carried: tuple[str, Array] | None = None):
+    def __init__(
+        self, model: CollisionModel, arm: int, opening: float, carried: tuple[str, Array] | None = None
+    ):
         self.robot, self.arm = model.robot, arm
         objects = model.geometry.geometryObjects
         mine = [objects[k] for k, owner in enumerate(model.arm_of) if owner == arm]
@@ -60,12 +63,15 @@ class Silhouette:
         self._chain = Chain(self.robot, arm)
         places = self._on_the_chain(mounts, opening)
         self._rotations = np.array([place.rotation for place in places])
-        self._centres = np.array([p.act(np.array(s.aabb_center)) for p, s in zip(places, self.shapes, strict=True)])
+        self._centres = np.array(
+            [p.act(np.array(s.aabb_center)) for p, s in zip(places, self.shapes, strict=True)]
+        )
         self._points = np.array([[place.translation for place in places], self._centres])[..., None]
         self.radii = np.array([float(shape.aabb_radius) for shape in self.shapes])
 
     def _on_the_chain(self, mounts: Sequence[tuple[int, pin.SE3]], opening: float) -> list[pin.SE3]:
-        """Places of shapes on pinocchio's joints seen from the arm's last joint before those; keeps which that is."""
+        """Places of shapes on pinocchio's joints seen from the arm's last joint before those; keeps which
+        that is."""
         qs, openings = np.array(self.robot.home), np.array(self.robot.closed)
         openings[self.arm] = opening
         data = self.robot.model.createData()
@@ -109,8 +115,13 @@ class Chain:
         self._rest = self._sine @ np.array(crosses)
 
     def places(self, path: Array) -> tuple[Array, Array]:
-        """Rotations (n, 7, 3, 3) and origins (n, 7, 3) [m] of the world and the joints for joints (n, 6) [rad] (Rodrigues)."""
-        turns = self._fixed + np.sin(path)[..., None, None] * self._sine + (1.0 - np.cos(path))[..., None, None] * self._rest
+        """Rotations (n, 7, 3, 3) and origins (n, 7, 3) [m] of the world and the joints for joints (n, 6)
+        [rad] (Rodrigues)."""
+        turns = (
+            self._fixed
+            + np.sin(path)[..., None, None] * self._sine
+            + (1.0 - np.cos(path))[..., None, None] * self._rest
+        )
         rotations, origins = np.empty((len(path), 7, 3, 3)), np.empty((len(path), 7, 3, 1))
         rotations[:, 0], origins[:, 0] = np.eye(3), 0.0
         for k in range(6):
@@ -121,7 +132,8 @@ class Chain:
 
 @dataclass(frozen=True, eq=False)
 class Track:
-    """Shapes along a path of n states: rotations (n, m, 3, 3), origins and centres (n, m, 3) [m], radii and links (m,)."""
+    """Shapes along a path of n states: rotations (n, m, 3, 3), origins and centres (n, m, 3) [m], radii and
+    links (m,)."""
 
     shapes: Sequence[coal.CollisionGeometry]
     rotations: Array
@@ -134,14 +146,18 @@ class Track:
     def at(self, k: int) -> Placed:
         """The shapes at one state."""
         if k not in self._known:
-            self._known[k] = Placed(self.shapes, self.rotations[k], self.origins[k], self.centres[k], self.radii, self.links)
+            self._known[k] = Placed(
+                self.shapes, self.rotations[k], self.origins[k], self.centres[k], self.radii, self.links
+            )
         return self._known[k]
 
     @cached_property
     def arcs(self) -> Array:
         """Bound (n, m) [m] on how far any point of each shape has come since the start of the path."""
         shifts = np.linalg.norm(np.diff(self.centres, axis=0), axis=2)
-        turns = np.linalg.norm(np.diff(self.rotations, axis=0), axis=(2, 3)) / np.sqrt(2)  # chords of a unit circle
+        turns = np.linalg.norm(np.diff(self.rotations, axis=0), axis=(2, 3)) / np.sqrt(
+            2
+        )  # chords of a unit circle
         steps = shifts + turns * self.radii
         return np.vstack([np.zeros(len(self.radii)), np.cumsum(steps, axis=0)])
 
@@ -162,7 +178,8 @@ def _nearest(first: Placed, second: Placed, enough: float, less: Array) -> float
 
 
 def room(first: Placed, second: Placed, enough: float) -> float:
-    """The same where a link of an arm counts as nearer than a hand by what it keeps more (see `collision`)."""
+    """The same where a link of an arm counts as nearer than a hand by what it keeps more (see
+    `collision`)."""
     more = np.where(first.links[:, None] | second.links, MARGIN - HAND_MARGIN, 0.0)
     return _nearest(first, second, enough, more)
 

@@ -32,7 +32,8 @@ class Pick:
 
 @dataclass(frozen=True, eq=False)
 class Square:
-    """A hand closes on a piece as it lies, opens again and goes back: that centres the piece between the pads and trues it up.
+    """A hand closes on a piece as it lies, opens again and goes back: that centres the piece between the pads
+    and trues it up.
 
     Attributes:
         piece, arm: what, and by which arm.
@@ -76,7 +77,8 @@ class HandOver:
         piece, arm: what, and the arm that gives.
         pick: how it got it, None where it has it already.
         q_meet: joints (6,) of the giver while the piece changes hands; q_clear: after its retreat.
-        receiver, grasp, width: the arm that takes it, by which grasp of the piece's table, distance between its pads [m].
+        receiver, grasp, width: the arm that takes it, by which grasp of the piece's table, distance between
+            its pads [m].
         q_before, q_take: joints (6,) of the receiver before its approach and at the grasp.
         pose_met: T_world_piece (4, 4) meanwhile.
     """
@@ -205,7 +207,8 @@ class Start:
     """A state to go on from.
 
     Attributes:
-        step: index of the first step that is still to be done; the pieces of the steps before it are in place.
+        step: index of the first step that is still to be done; the pieces of the steps before it are in
+            place.
         poses: T_world_piece (4, 4) of every piece, as found.
         hands: joints and openings, as found; `gripped` names the pieces in place that are held.
         carrying: what hands have in the air.

@@ -1,4 +1,5 @@
-"""Builds a program: a schedule turned into segments, each a timed trajectory or a hand command, with guards."""
+"""Builds a program: a schedule turned into segments, each a timed trajectory or a hand command, with
+guards."""
 
 from __future__ import annotations
 
@@ -14,7 +15,17 @@ from soma_bullet.motion.line import LineError
 from soma_bullet.motion.timing import TimingError
 from soma_bullet.motion.transfer import TransferError
 from soma_bullet.robot.collision import Scene
-from soma_bullet.task.assignments import Assignment, Pick, PutDown, Regrasp, Release, Schedule, Square, Start, Take
+from soma_bullet.task.assignments import (
+    Assignment,
+    Pick,
+    PutDown,
+    Regrasp,
+    Release,
+    Schedule,
+    Square,
+    Start,
+    Take,
+)
 from soma_bullet.task.feed import Feed
 from soma_bullet.task.motions import plan_motion, straight_motion, widths_between
 from soma_bullet.task.segments import (
@@ -70,7 +81,8 @@ class ProgramBuilder:
         self.context = self.beginning = beginning(workcell, feed, start, order)
 
     def run(self) -> Iterator[Made]:
-        """Every segment with the contexts before and after it, in an order in which they can run one at a time."""
+        """Every segment with the contexts before and after it, in an order in which they can run one at a
+        time."""
         self.count, self.context = 0, self.beginning
         if self.start is not None:
             yield from self._get_ready(self.start)
@@ -81,12 +93,15 @@ class ProgramBuilder:
                 except MotionError as error:
                     raise MotionError(a, error.reason, regrasp) from None
             if not a.in_hand:
-                yield from self._fetch(a, Pick(a.piece, a.arm, a.grasp, a.width, a.opened, a.q_before, a.q_pick, a.q_lifted))
+                yield from self._fetch(
+                    a, Pick(a.piece, a.arm, a.grasp, a.width, a.opened, a.q_before, a.q_pick, a.q_lifted)
+                )
             yield from self._insert(a)
             yield from self._let_go(a, following)
 
     def _get_ready(self, start: Start) -> Iterator[Made]:
-        """Holds change as they must, idle arms go home, those that carry a piece get clear of what it touches."""
+        """Holds change as they must, idle arms go home, those that carry a piece get clear of what it
+        touches."""
         idle = [arm for arm in range(len(self.workcell.robot.home)) if arm not in self.context.hands.gripped]
         for arm in idle:
             yield from self._clear_away(arm)
@@ -98,7 +113,8 @@ class ProgramBuilder:
                 yield self._back_out(carried.arm, carried.piece)
 
     def _clear_away(self, arm: int) -> Iterator[Made]:
-        """An arm that has nothing goes home; from a piece it first goes straight back, opening the hand if that is needed."""
+        """An arm that has nothing goes home; from a piece it first goes straight back, opening the hand if
+        that is needed."""
         home, hands = self.workcell.robot.home[arm], self.context.hands
         if arm in hands.gripped or np.abs(hands.qs[arm] - home).max() < SMALLEST_JUMP:
             return
@@ -121,7 +137,8 @@ class ProgramBuilder:
         return apply(self.context.poses[piece], assembly.pieces[assembly.index(piece)].center_of_mass)
 
     def _touched(self, arm: int) -> str | None:
-        """A piece that the hand of an arm, or the piece in it, is too near to; the name of anything else if there is none."""
+        """A piece that the hand of an arm, or the piece in it, is too near to; the name of anything else if
+        there is none."""
         hands = self.context.hands
         scene = scene_of(self.workcell, self.context, arm)
         pairs = scene.colliding(self.workcell.configuration(hands, arm, hands.qs[arm]))
@@ -129,7 +146,8 @@ class ProgramBuilder:
         return next((name for name in names if name != hands.gripped.get(arm)), names[0] if names else None)
 
     def _back_out(self, arm: int, piece: str) -> Made:
-        """A carried piece that touches something goes back the way it came, or up; what it touches meanwhile is left out."""
+        """A carried piece that touches something goes back the way it came, or up; what it touches meanwhile
+        is left out."""
         reason = ""
         back = [-a.direction * a.length for a in self.schedule.assignments[:1] if a.piece == piece]
         for offset in (*back, UP * LIFT):
@@ -145,7 +163,13 @@ class ProgramBuilder:
         yield self._line(a, "lift", UP * LIFT, (pick.arm, pick.piece))
 
     def _take(
-        self, a: Assignment | None, who: Who, q_before: Array, q_grasp: Array, width: float, opened: float | None = None
+        self,
+        a: Assignment | None,
+        who: Who,
+        q_before: Array,
+        q_grasp: Array,
+        width: float,
+        opened: float | None = None,
     ) -> Iterator[Made]:
         """From wherever the arm is to the hand closed on a piece, wherever that is."""
         yield self._around(a, "transit", q_before, width + 2 * OPENING if opened is None else opened, who)
@@ -153,12 +177,19 @@ class ProgramBuilder:
         yield self._wait(a, "grasp", CLOSING, 0.0, who, width)
 
     def _leave(self, a: Assignment | None, who: Who) -> Iterator[Made]:
-        """A hand opens and goes straight back; between the two, what others hold on its piece comes down onto that."""
+        """A hand opens and goes straight back; between the two, what others hold on its piece comes down onto
+        that."""
         hands = self.context.hands
         widest = self.workcell.robot.arm(who[0]).hand.opening
-        yield self._wait(a, "release", OPENING_TIME, min(float(hands.openings[who[0]]) + 2 * OPENING, widest), who)
+        yield self._wait(
+            a, "release", OPENING_TIME, min(float(hands.openings[who[0]]) + 2 * OPENING, widest), who
+        )
         for arm, held in sorted(self.context.hands.gripped.items()):
-            if arm != who[0] and {who[1], held} <= self.context.placed and self.workcell.carries(who[1], held):
+            if (
+                arm != who[0]
+                and {who[1], held} <= self.context.placed
+                and self.workcell.carries(who[1], held)
+            ):
                 yield self._wait(a, "follow", FOLLOWING, np.nan, (arm, held))
         yield self._line(a, "retreat", -self._tool(who[0], hands.qs[who[0]]) * APPROACH, who)
 
@@ -184,7 +215,9 @@ class ProgramBuilder:
                 return
         else:
             yield self._around(a, "transfer", regrasp.q_meet, who=who)
-            yield from self._take(a, (regrasp.receiver, regrasp.piece), regrasp.q_before, regrasp.q_take, regrasp.width)
+            yield from self._take(
+                a, (regrasp.receiver, regrasp.piece), regrasp.q_before, regrasp.q_take, regrasp.width
+            )
             yield from self._leave(a, who)
         yield self._around(a, "home", self.workcell.robot.home[regrasp.arm], 0.0, who)
 
@@ -201,9 +234,13 @@ class ProgramBuilder:
         for release in a.releases:
             busy = release.arm in self.context.hands.gripped
             if not busy and (following is None or first_arm(following) != release.arm):
-                yield self._around(a, "home", self.workcell.robot.home[release.arm], 0.0, (release.arm, release.piece))
+                yield self._around(
+                    a, "home", self.workcell.robot.home[release.arm], 0.0, (release.arm, release.piece)
+                )
 
-    def _change_holds(self, a: Assignment | None, takes: Sequence[Take], releases: Sequence[Release]) -> Iterator[Made]:
+    def _change_holds(
+        self, a: Assignment | None, takes: Sequence[Take], releases: Sequence[Release]
+    ) -> Iterator[Made]:
         for n in range(len(releases) + 1):
             for take in takes:
                 if take.after == n:
@@ -211,7 +248,7 @@ class ProgramBuilder:
             if n < len(releases):
                 yield from self._leave(a, (releases[n].arm, releases[n].piece))
 
-    # --- one segment ---------------------------------------------------------------------------------------------------
+    # --- one segment ----------------------------------------------------------------------------------------
 
     def _about(self, a: Assignment | None, who: Who | None) -> tuple[int, int, str]:
         """Step, arm and piece of a segment."""
@@ -224,17 +261,24 @@ class ProgramBuilder:
         self.context = leaving(self.workcell, before, segment)
         return before, segment, self.context
 
-    def _around(self, a: Assignment | None, kind: Kind, goal: Array, opening: float = np.nan, who: Who | None = None) -> Made:
-        """A motion around obstacles; the hand opens or closes on the way, and every width between must be free all along."""
+    def _around(
+        self, a: Assignment | None, kind: Kind, goal: Array, opening: float = np.nan, who: Who | None = None
+    ) -> Made:
+        """A motion around obstacles; the hand opens or closes on the way, and every width between must be
+        free all along."""
         step, arm, piece = self._about(a, who)
         self.count += 1
         context = entering(self.workcell, self.context, kind, arm, piece)
         widths = widths_to(context, arm, opening)
         scene, start = scene_of(self.workcell, context, arm), context.hands.qs[arm]
         try:
-            path = plan_motion(self.workcell, scene, context.hands, arm, start, goal, widths, self.seed + 1000 * self.count)
+            path = plan_motion(
+                self.workcell, scene, context.hands, arm, start, goal, widths, self.seed + 1000 * self.count
+            )
         except TransferError as error:
-            raise MotionError(a, f"{piece}: {kind}: {self._blame(error, context, arm, float(widths.max()))}") from None
+            raise MotionError(
+                a, f"{piece}: {kind}: {self._blame(error, context, arm, float(widths.max()))}"
+            ) from None
         except TimingError as error:
             raise MotionError(a, f"{piece}: {kind}: {error}") from None
         return self._add(context, Segment(kind, step, arm, piece, readonly(path), NONE, opening, 0.0, 0.0))
@@ -244,12 +288,20 @@ class ProgramBuilder:
             return "no path within the budget"
         configuration = self.workcell.configuration(context.hands, arm, error.q, width)
         scene = scene_of(self.workcell, context, arm)
-        return f"{error.cause} in collision" + (f": {' meets '.join(scene.met)}" if scene.collides(configuration) else "")
+        return f"{error.cause} in collision" + (
+            f": {' meets '.join(scene.met)}" if scene.collides(configuration) else ""
+        )
 
-    def _line(self, a: Assignment | None, kind: Kind, offset: Array, who: Who | None = None, loose: bool = False) -> Made:
+    def _line(
+        self, a: Assignment | None, kind: Kind, offset: Array, who: Who | None = None, loose: bool = False
+    ) -> Made:
         step, arm, piece = self._about(a, who)
         context = entering(self.workcell, self.context, kind, arm, piece)
-        seen = replace(context, carried={}, poses={n: T for n, T in context.poses.items() if n != piece}) if loose else context
+        seen = (
+            replace(context, carried={}, poses={n: T for n, T in context.poses.items() if n != piece})
+            if loose
+            else context
+        )
         scene, start = scene_of(self.workcell, seen, arm), context.hands.qs[arm]
         try:
             path = straight_motion(self.workcell, scene, context.hands, arm, start, offset, kind)
@@ -294,7 +346,9 @@ def guarded(workcell: Workcell, segment: Segment, context: Context) -> Segment:
     end = segment.path[-1] if len(segment.path) else context.hands.qs[segment.arm]
     jacobian = workcell.robot.jacobian(segment.arm, end)
     compliance = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + DAMPING**2 * np.eye(6))
-    stopped = segment.kind in ("set_down", "follow") or workcell.stopped(segment.piece, segment.last_way, context.placed)
+    stopped = segment.kind in ("set_down", "follow") or workcell.stopped(
+        segment.piece, segment.last_way, context.placed
+    )
     return replace(segment, guard=GUARD, compliance=readonly(compliance), beyond=BEYOND if stopped else 0.0)
 
 

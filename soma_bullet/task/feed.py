@@ -1,4 +1,5 @@
-"""Where the pieces lie before they are picked: each in a steady resting pose, anywhere in the feed areas, at any yaw."""
+"""Where the pieces lie before they are picked: each in a steady resting pose, anywhere in the feed areas, at
+any yaw."""
 
 from __future__ import annotations
 
@@ -22,7 +23,10 @@ from soma_bullet.task.grasps import grasp_poses
 GAP = 0.010  # [m] between the footprints of two pieces
 SIGMAS = 3.0  # of the noise of perception that a hand makes room for
 DRAWS = 10_000
-STEADY_TILT, STEADY_MARGIN = np.deg2rad(10.0), 2e-3  # [rad], [m] a resting pose that less upsets would tip at a touch
+STEADY_TILT, STEADY_MARGIN = (
+    np.deg2rad(10.0),
+    2e-3,
+)  # [rad], [m] a resting pose that less upsets would tip at a touch
 
 
 @dataclass(frozen=True)
@@ -31,12 +35,12 @@ class FeedOptions:
 
     Attributes:
         layout: `random` draws places and yaws; `rows` lays the pieces out evenly, without yaw.
-        noise_mm, noise_deg: one sigma of what the perceived poses are off by, in x, y [mm] and yaw [deg]; of uniform errors the
-            largest, in any direction.
+        noise_mm, noise_deg: one sigma of what the perceived poses are off by, in x, y [mm] and yaw [deg]; of
+            uniform errors the largest, in any direction.
         errors: `normal`, or `uniform` over a disc and an interval.
         square: pieces of an inexact feed are squared before they are picked; else they are picked as seen.
-        poses: `all` draws each piece's resting pose among the steady ones; `preferred` takes the one with the most grasps that
-            also serve at the goal, as `rows` always does.
+        poses: `all` draws each piece's resting pose among the steady ones; `preferred` takes the one with the
+            most grasps that also serve at the goal, as `rows` always does.
     """
 
     layout: Literal["random", "rows"] = "random"
@@ -48,7 +52,8 @@ class FeedOptions:
 
     @property
     def noise(self) -> tuple[float, float]:
-        """One sigma of the errors [mm], [deg], as in `Feed`; of uniform ones what has them end at SIGMAS times that."""
+        """One sigma of the errors [mm], [deg], as in `Feed`; of uniform ones what has them end at SIGMAS
+        times that."""
         if self.errors == "uniform":
             return self.noise_mm / SIGMAS, self.noise_deg / SIGMAS
         return self.noise_mm, self.noise_deg
@@ -64,7 +69,8 @@ class Feed:
         overlaps: draws rejected because two pieces would overlap.
         regrasps_needed: pieces that lie so that no grasp serves both there and at the goal.
         seed: of the draw.
-        noise: one sigma of what the poses may be off by: in x and y [mm], in yaw [deg]; SIGMAS times that is made room for.
+        noise: one sigma of what the poses may be off by: in x and y [mm], in yaw [deg]; SIGMAS times that is
+            made room for.
         square: whether pieces are squared where there is noise.
     """
 
@@ -86,12 +92,16 @@ class Feed:
         return self.overlaps / (len(self.names) + self.overlaps)
 
     def off(self, piece: Workpiece) -> float:
-        """How far any point of a piece may be from where it seems to be, along the table [m]: SIGMAS times the noise."""
+        """How far any point of a piece may be from where it seems to be, along the table [m]: SIGMAS times
+        the noise."""
         return SIGMAS * (self.noise[0] * 1e-3 + np.deg2rad(self.noise[1]) * piece.radius)
 
 
-def serving_grasps(assembly: Assembly, plan: AssemblyPlan, hand: Hand, name: str, T_plane_piece: Array) -> Array:
-    """Indices of the grasps of a piece that serve at its goal (and while it is held) and with the piece resting on a plane."""
+def serving_grasps(
+    assembly: Assembly, plan: AssemblyPlan, hand: Hand, name: str, T_plane_piece: Array
+) -> Array:
+    """Indices of the grasps of a piece that serve at its goal (and while it is held) and with the piece
+    resting on a plane."""
     step = next(step for step in plan.steps if step.piece == name)
     indices = set(step.grasps)
     for hold in step.holds:
@@ -106,10 +116,9 @@ def serving_grasps(assembly: Assembly, plan: AssemblyPlan, hand: Hand, name: str
 def steady_poses(piece: Workpiece) -> Array:
     """T_plane_piece (k, 4, 4) of the resting poses that no touch upsets, most stable first.
 
-    The centre of mass lies at least STEADY_MARGIN inside what the piece stands on, and a tilt of STEADY_TILT about any edge of
-    it falls back. Narrow facets of a round side, on which a piece rolls, are out by either. Where none is steady, the most
-    stable one counts.
-    """
+    The centre of mass lies at least STEADY_MARGIN inside what the piece stands on, and a tilt of STEADY_TILT
+    about any edge of it falls back. Narrow facets of a round side, on which a piece rolls, are out by either.
+    Where none is steady, the most stable one counts."""
     poses = resting_poses(piece)
     steady = []
     for pose in poses:
@@ -139,8 +148,11 @@ def _resting(assembly: Assembly, name: str) -> Array:
     return poses
 
 
-def draw_feed(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int, options: FeedOptions | None = None) -> Feed:
-    """A steady resting pose of each piece, at uniform places over the whole feed areas and uniform yaw, or in rows.
+def draw_feed(
+    assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int, options: FeedOptions | None = None
+) -> Feed:
+    """A steady resting pose of each piece, at uniform places over the whole feed areas and uniform yaw, or in
+    rows.
 
     Raises:
         NoSolutionError: the pieces do not fit, or one has no resting pose.
@@ -171,10 +183,14 @@ def draw_feed(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int, opt
                 break
             overlaps += 1
             if overlaps > DRAWS:
-                raise NoSolutionError("schedule", f"{name} does not fit into the feed areas beside the other pieces")
+                raise NoSolutionError(
+                    "schedule", f"{name} does not fit into the feed areas beside the other pieces"
+                )
         outlines.append(outline)
         poses.append(pose)
-    return Feed(assembly.names, readonly(np.array(poses)), overlaps, needed, seed, options.noise, options.square)
+    return Feed(
+        assembly.names, readonly(np.array(poses)), overlaps, needed, seed, options.noise, options.square
+    )
 
 
 def _rows(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int, options: FeedOptions) -> Feed:
@@ -187,12 +203,16 @@ def _rows(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int, options
         place = (area[0, 0] + (column + 0.5) / columns * (area[0, 1] - area[0, 0]), area[1].mean(), 0.0)
         poses[name] = make_transform(translation=place) @ preferred_resting_pose(assembly, plan, hand, name)
     placed = readonly(np.array([poses[name] for name in assembly.names]))
-    needed = sum(not len(serving_grasps(assembly, plan, hand, *item)) for item in zip(assembly.names, placed, strict=True))
+    needed = sum(
+        not len(serving_grasps(assembly, plan, hand, *item))
+        for item in zip(assembly.names, placed, strict=True)
+    )
     return Feed(assembly.names, placed, 0, needed, seed, options.noise, options.square)
 
 
 def misplace(assembly: Assembly, feed: Feed, options: FeedOptions, seed: int) -> Feed:
-    """Where the pieces really lie when `feed` is what was perceived: each turned about its centre of mass and shifted."""
+    """Where the pieces really lie when `feed` is what was perceived: each turned about its centre of mass and
+    shifted."""
     if options.noise_mm == 0.0 and options.noise_deg == 0.0:
         return feed
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0x0FF,)))

@@ -1,9 +1,10 @@
-"""How a piece gets into a hand by a given grasp: picked from the table, or brought there by put-downs and hand-overs.
+"""How a piece gets into a hand by a given grasp: picked from the table, or brought there by put-downs and
+hand-overs.
 
-A chain is built backwards from the grasp that is wanted: the last regrasp first, then how its giver got the piece. Fewer
-actions come first, and a hand-over before a put-down. Planned durations: a hand-over (carry, approach, close, open, retreat, go
-home) adds about 7 s, a put-down (carry, lower, 10 mm at 10 mm/s, open, retreat, and a pick) about 11 s.
-"""
+A chain is built backwards from the grasp that is wanted: the last regrasp first, then how its giver got the
+piece. Fewer actions come first, and a hand-over before a put-down. Planned durations: a hand-over (carry,
+approach, close, open, retreat, go home) adds about 7 s, a put-down (carry, lower, 10 mm at 10 mm/s, open,
+retreat, and a pick) about 11 s."""
 
 from __future__ import annotations
 
@@ -79,7 +80,9 @@ class Fetcher:
 
     def __init__(self, tracer: Tracer, plan: AssemblyPlan, feed: Feed, excluded: set[tuple[object, ...]]):
         self.tracer, self.plan, self.feed, self.excluded = tracer, plan, feed, excluded
-        self.moved: frozenset[str] = frozenset()  # pieces that are no longer where the feed has them, but exactly somewhere
+        self.moved: frozenset[str] = (
+            frozenset()
+        )  # pieces that are no longer where the feed has them, but exactly somewhere
         self.workcell, self.robot = tracer.workcell, tracer.robot
         self.hand = self.workcell.cell.arms[0].hand
         self._memory: dict[tuple[object, ...], object] = {}
@@ -99,15 +102,19 @@ class Fetcher:
         return 0.0 if piece in self.moved else self.feed.off(self.graph(piece).piece)
 
     def opened(self, view: View, pose: Array, grip: Grip) -> float:
-        """Distance [m] between the pads on the way to the piece at a pose: enough also if it is not quite there."""
+        """Distance [m] between the pads on the way to the piece at a pose: enough also if it is not quite
+        there."""
         off = self.off(view.piece) if pose is view.source else 0.0
         return min(grip.width + 2 * (OPENING + off), self.hand.opening)
 
-    # --- from the table ------------------------------------------------------------------------------------------------
+    # --- from the table -------------------------------------------------------------------------------------
 
     def clear_at(self, view: View, pose: Array) -> Mask:
-        """Whether the hand is clear of the table and of the other pieces by each grasp, the piece at a pose: bool (n,)."""
-        return self._once(("clear", view.step, view.piece, pose.tobytes()), lambda: self._clear_at(view, pose))
+        """Whether the hand is clear of the table and of the other pieces by each grasp, the piece at a pose:
+        bool (n,)."""
+        return self._once(
+            ("clear", view.step, view.piece, pose.tobytes()), lambda: self._clear_at(view, pose)
+        )
 
     def _clear_at(self, view: View, pose: Array) -> Mask:
         graph = self.graph(view.piece)
@@ -158,7 +165,9 @@ class Fetcher:
     def _carrying(self, view: View, hands: Hands, arm: int, grip: Grip, alone: bool = False) -> Mover:
         """An arm with the piece near the table."""
         carried, lying = (view.piece, inverse(grip.T_piece_tcp)), frozenset({frozenset({view.piece, TABLE})})
-        scene = self.tracer.scene(("carry", view.step, view.piece), view.others, hands, arm, carried, lying, alone)
+        scene = self.tracer.scene(
+            ("carry", view.step, view.piece), view.others, hands, arm, carried, lying, alone
+        )
         return Mover(view.piece, arm, scene, hands, grip.width)
 
     def pick(self, view: View, pose: Array, arm: int, grip: Grip) -> Pick | None:
@@ -176,7 +185,8 @@ class Fetcher:
         return None
 
     def squares(self, view: View, arm: int, grip: Grip, pick: Pick) -> tuple[Square, ...]:
-        """What makes the place of a piece of the feed exact before an arm picks it; nothing where it is exact already."""
+        """What makes the place of a piece of the feed exact before an arm picks it; nothing where it is exact
+        already."""
         if not self.feed.square or not self.off(view.piece):
             return ()
         ruled_out = frozenset(entry for entry in self.excluded if entry[0] == SQUARE)
@@ -212,21 +222,27 @@ class Fetcher:
         """How an arm squares the piece by a grasp: by the branch that is nearest to how it picks it then."""
         T, hands = view.source @ grip.T_piece_tcp, view.hands.gripping(arm, view.piece)
         arriving, _ = self._pick_movers(view, hands, view.source, arm, grip)
-        solutions = sorted(self.robot.inverse(arm, T, pick.q_pick), key=lambda q: float(np.abs(q - pick.q_pick).max().round(9)))
+        solutions = sorted(
+            self.robot.inverse(arm, T, pick.q_pick),
+            key=lambda q: float(np.abs(q - pick.q_pick).max().round(9)),
+        )
         for q in solutions:
             line = self.tracer.line("approach to square", arriving, q, T, -T[:3, 2], APPROACH)
             if line is not None:
-                square = Square(view.piece, arm, grip.width, arriving.width, readonly(line[-1]), readonly(line[0]))
+                square = Square(
+                    view.piece, arm, grip.width, arriving.width, readonly(line[-1]), readonly(line[0])
+                )
                 if square_key(square) not in self.excluded:
                     return square
         return None
 
-    # --- chains --------------------------------------------------------------------------------------------------------
+    # --- chains ---------------------------------------------------------------------------------------------
 
     def chains(
         self, view: View, arm: int, grip: Grip, actions: tuple[Action, ...]
     ) -> Iterator[tuple[tuple[Regrasp, ...], Pick | None]]:
-        """Regrasps of the given kinds after which an arm has the piece by a grip, with the last pick; None: it has it then."""
+        """Regrasps of the given kinds after which an arm has the piece by a grip, with the last pick; None:
+        it has it then."""
         if not actions:
             if view.carrying is None:
                 pick = self.pick(view, view.source, arm, grip)
@@ -266,7 +282,14 @@ class Fetcher:
                 continue
             for held in self._givers(view, giver, allowed, before):
                 for regrasps, pick in islice(self.chains(view, giver, held, before), 1):
-                    key = ("meet", *view.key, giver, held.T_piece_tcp.tobytes(), arm, grip.T_piece_tcp.tobytes())
+                    key = (
+                        "meet",
+                        *view.key,
+                        giver,
+                        held.T_piece_tcp.tobytes(),
+                        arm,
+                        grip.T_piece_tcp.tobytes(),
+                    )
                     met = self._once(key, partial(self._meet, view, giver, held, arm, grip))
                     if met is not None:
                         yield (*regrasps, replace(met, pick=pick)), None
@@ -286,10 +309,13 @@ class Fetcher:
                     if down is not None:
                         yield (*regrasps, replace(down, pick=pick)), again
 
-    # --- one put-down ----------------------------------------------------------------------------------------------------
+    # --- one put-down ---------------------------------------------------------------------------------------
 
-    def _places(self, view: View, rest: int, arm: int, grip: Grip, before: tuple[Action, ...]) -> list[tuple[Array, int, Grip]]:
-        """Where one resting pose can go, who brings it and how: the most comfortable for both hands, and near, first."""
+    def _places(
+        self, view: View, rest: int, arm: int, grip: Grip, before: tuple[Action, ...]
+    ) -> list[tuple[Array, int, Grip]]:
+        """Where one resting pose can go, who brings it and how: the most comfortable for both hands, and
+        near, first."""
         key = ("brought", *view.key, rest, arm, grip.T_piece_tcp.tobytes(), before)
         return self._once(key, lambda: self._find_places(view, rest, arm, grip, before))
 
@@ -335,14 +361,17 @@ class Fetcher:
                 return PutDown(view.piece, arm, None, over, down, clear, readonly(pose))
         return None
 
-    # --- one hand-over -------------------------------------------------------------------------------------------------
+    # --- one hand-over --------------------------------------------------------------------------------------
 
     def _meet(self, view: View, giver: int, held: Grip, arm: int, grip: Grip) -> HandOver | None:
         piece = self.graph(view.piece).piece
         poses = meeting_poses(
-            self.robot, (giver, arm), (held.T_piece_tcp, grip.T_piece_tcp), apply(view.source, piece.center_of_mass),
+            self.robot,
+            (giver, arm),
+            (held.T_piece_tcp, grip.T_piece_tcp),
+            apply(view.source, piece.center_of_mass),
             piece.center_of_mass,
-        )  # fmt: skip
+        )
         for pose in poses[:MEETINGS]:
             met = self._meet_at(view, pose, giver, held, arm, grip)
             if met is not None:
@@ -350,7 +379,9 @@ class Fetcher:
         self.tracer.reject(view.piece, "no free pose to hand over")
         return None
 
-    def _meet_at(self, view: View, pose: Array, giver: int, held: Grip, arm: int, grip: Grip) -> HandOver | None:
+    def _meet_at(
+        self, view: View, pose: Array, giver: int, held: Grip, arm: int, grip: Grip
+    ) -> HandOver | None:
         T_give, T_take = pose @ held.T_piece_tcp, pose @ grip.T_piece_tcp
         gives = self.robot.inverse(giver, T_give, self.robot.home[giver])[:BRANCHES]
         takes = self.robot.inverse(arm, T_take, self.robot.home[arm])[:BRANCHES]
@@ -364,18 +395,37 @@ class Fetcher:
             if not self.tracer.free("hand-over", carrying, q_meet[None]):
                 continue
             waiting = both.with_arm(giver, q_meet, held.width)
-            taker = Mover(view.piece, arm, self.tracer.scene(key, there, waiting, arm), waiting, grip.width + 2 * OPENING)
+            taker = Mover(
+                view.piece,
+                arm,
+                self.tracer.scene(key, there, waiting, arm),
+                waiting,
+                grip.width + 2 * OPENING,
+            )
             for q_take in takes:
-                approach = self.tracer.line("approach to a hand-over", taker, q_take, T_take, -T_take[:3, 2], APPROACH)
+                approach = self.tracer.line(
+                    "approach to a hand-over", taker, q_take, T_take, -T_take[:3, 2], APPROACH
+                )
                 if approach is None:
                     continue
                 held_by_both = waiting.with_arm(arm, q_take, grip.width)
                 scene = self.tracer.scene(key, there, held_by_both, giver)
                 leaver = Mover(view.piece, giver, scene, held_by_both, held.width + 2 * OPENING)
-                away = self.tracer.line("retreat from a hand-over", leaver, q_meet, T_give, -T_give[:3, 2], APPROACH)
+                away = self.tracer.line(
+                    "retreat from a hand-over", leaver, q_meet, T_give, -T_give[:3, 2], APPROACH
+                )
                 if away is not None:
                     return HandOver(
-                        view.piece, giver, None, readonly(q_meet), readonly(away[-1]), arm, grip.index, grip.width,
-                        readonly(approach[-1]), readonly(q_take), readonly(pose),
-                    )  # fmt: skip
+                        view.piece,
+                        giver,
+                        None,
+                        readonly(q_meet),
+                        readonly(away[-1]),
+                        arm,
+                        grip.index,
+                        grip.width,
+                        readonly(approach[-1]),
+                        readonly(q_take),
+                        readonly(pose),
+                    )
         return None

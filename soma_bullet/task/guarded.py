@@ -1,4 +1,5 @@
-"""How much of an insertion is slow and guided by the wrist's force: from where the piece comes near what stands there."""
+"""How much of an insertion is slow and guided by the wrist's force: from where the piece comes near what
+stands there."""
 
 from __future__ import annotations
 
@@ -27,7 +28,9 @@ def guarded_length(
     """
     assembly = workcell.assembly
     moving = _body(workcell, piece, workcell.settled[piece])
-    fixed = [part for name in assembly.names if name in standing for part in _body(workcell, name, standing[name])]
+    fixed = [
+        part for name in assembly.names if name in standing for part in _body(workcell, name, standing[name])
+    ]
     last = last_near(moving, -np.asarray(direction), length, [*fixed, _stand(workcell)])
     return max(PLACE, min(last + BEFORE, length - FREE))
 
@@ -44,15 +47,18 @@ def _stand(workcell: Workcell) -> Hull:
 
 
 def last_near(moving: Sequence[Hull], away: Array, length: float, fixed: Sequence[Hull]) -> float:
-    """How far polytopes can move along a unit vector (3,), at most `length` [m], and still be nearer than NEAR to others.
+    """How far polytopes can move along a unit vector (3,), at most `length` [m], and still be nearer than
+    NEAR to others.
 
-    Along every separating axis two polytopes are near over one interval of the way, and near at all over what these have in
-    common; what is apart along no axis counts as near. Returns 0 where they never are.
-    """
+    Along every separating axis two polytopes are near over one interval of the way, and near at all over what
+    these have in common; what is apart along no axis counts as near. Returns 0 where they never are."""
     last = 0.0
     sweep = away * length
     for body in moving:
-        low, high = body.bounds[0] + np.minimum(sweep, 0.0) - NEAR, body.bounds[1] + np.maximum(sweep, 0.0) + NEAR
+        low, high = (
+            body.bounds[0] + np.minimum(sweep, 0.0) - NEAR,
+            body.bounds[1] + np.maximum(sweep, 0.0) + NEAR,
+        )
         for other in fixed:
             if (other.bounds[0] > high).any() or (other.bounds[1] < low).any():
                 continue
@@ -60,7 +66,9 @@ def last_near(moving: Sequence[Hull], away: Array, length: float, fixed: Sequenc
             norms = np.linalg.norm(crossed, axis=1)
             axes = np.vstack([body.axes, other.axes, crossed[norms > 1e-9] / norms[norms > 1e-9, None]])
             mine, theirs = axes @ body.vertices.T, axes @ other.vertices.T
-            first = theirs.min(1) - mine.max(1) - NEAR  # along the axis the body must have come farther than this
+            first = (
+                theirs.min(1) - mine.max(1) - NEAR
+            )  # along the axis the body must have come farther than this
             beyond = theirs.max(1) - mine.min(1) + NEAR  # and less far than that
             speed = axes @ away
             moves = np.abs(speed) > 1e-9

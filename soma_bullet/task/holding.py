@@ -1,4 +1,5 @@
-"""Which hands let go after a step, and which take hold of a piece in place, in an order that keeps the state up."""
+"""Which hands let go after a step, and which take hold of a piece in place, in an order that keeps the state
+up."""
 
 from __future__ import annotations
 
@@ -68,7 +69,8 @@ class Holding:
     def changes(
         self, k: int, state: State, arm: int, grip: Grip, q_goal: Array, lying: Mapping[str, Array]
     ) -> tuple[tuple[Take, ...], tuple[Release, ...], State] | None:
-        """Takes, releases and the state after step k, whose piece an arm has just placed; None where there is no way."""
+        """Takes, releases and the state after step k, whose piece an arm has just placed; None where there is
+        no way."""
         step = self.plan.steps[k]
         placed = {**state.placed, step.piece: self.workcell.settled[step.piece]}
         hands = state.hands.with_arm(arm, q_goal, grip.width).gripping(arm, step.piece)
@@ -78,11 +80,14 @@ class Holding:
     def settle(
         self, k: int, state: State, lying: Mapping[str, Array]
     ) -> tuple[tuple[Take, ...], tuple[Release, ...], State] | None:
-        """As `changes`, from the state in which the piece of step k is in place and all hands are where they are."""
+        """As `changes`, from the state in which the piece of step k is in place and all hands are where they
+        are."""
         step = self.plan.steps[k]
         wanted = {hold.piece: hold for hold in step.holds}
         missing = [hold for name, hold in wanted.items() if name not in state.grip]
-        go = sorted(set(state.grip) - set(wanted), key=lambda name: (name == step.piece, name))  # the inserter last, if it may
+        go = sorted(
+            set(state.grip) - set(wanted), key=lambda name: (name == step.piece, name)
+        )  # the inserter last, if it may
         standing = False
         for order, after in _sequences(go, bool(missing)):
             taken = [hold.piece for hold in missing]
@@ -96,7 +101,9 @@ class Holding:
             self.tracer.reject(step.piece, "letting go would let the state fall in any order")
         return None
 
-    def _stands_all_along(self, placed: frozenset[str], held: set[str], order: list[str], after: int, taken: list[str]) -> bool:
+    def _stands_all_along(
+        self, placed: frozenset[str], held: set[str], order: list[str], after: int, taken: list[str]
+    ) -> bool:
         for k in range(len(order) + 1):
             if k == after:
                 held = held | set(taken)
@@ -114,7 +121,13 @@ class Holding:
         return self._stands[placed, held]
 
     def _carry_out(
-        self, k: int, state: State, order: list[str], after: int, missing: list[Hold], lying: Mapping[str, Array]
+        self,
+        k: int,
+        state: State,
+        order: list[str],
+        after: int,
+        missing: list[Hold],
+        lying: Mapping[str, Array],
     ) -> tuple[tuple[Take, ...], tuple[Release, ...], State] | None:
         """The lines of one sequence of changes."""
         hands, grip = state.hands, dict(state.grip)
@@ -127,7 +140,11 @@ class Holding:
                     if take is None:
                         return None
                     takes.append(take)
-                    hands = self._at_home(hands).with_arm(take.arm, take.q_hold, take.width).gripping(take.arm, hold.piece)
+                    hands = (
+                        self._at_home(hands)
+                        .with_arm(take.arm, take.q_hold, take.width)
+                        .gripping(take.arm, hold.piece)
+                    )
                     grip[hold.piece] = self.robot.tcp(take.arm, take.q_hold)
             if n == len(order):
                 break
@@ -149,7 +166,13 @@ class Holding:
         return hands
 
     def _retreat(
-        self, k: int, placed: Mapping[str, Array], hands: Hands, arm: int, piece: str, lying: Mapping[str, Array]
+        self,
+        k: int,
+        placed: Mapping[str, Array],
+        hands: Hands,
+        arm: int,
+        piece: str,
+        lying: Mapping[str, Array],
     ) -> Array | None:
         """Joints at the end of the straight retreat from a piece in place."""
         scene = self.tracer.scene(("placed", k), {**placed, **lying}, hands, arm)
@@ -159,7 +182,13 @@ class Holding:
         return None if line is None else line[-1]
 
     def _take(
-        self, k: int, placed: Mapping[str, Array], hands: Hands, hold: Hold, after: int, lying: Mapping[str, Array]
+        self,
+        k: int,
+        placed: Mapping[str, Array],
+        hands: Hands,
+        hold: Hold,
+        after: int,
+        lying: Mapping[str, Array],
     ) -> Take | None:
         """How a free hand takes hold of a piece in place."""
         step = self.plan.steps[k]
@@ -171,20 +200,33 @@ class Holding:
         for arm in free:
             gripping = hands.gripping(arm, hold.piece)
             scene = self.tracer.scene(("placed", k), {**placed, **lying}, gripping, arm)
-            cost = comfort(self.robot, arm, placed[hold.piece] @ graph.poses[indices]) - (indices == hold.grasp)
+            cost = comfort(self.robot, arm, placed[hold.piece] @ graph.poses[indices]) - (
+                indices == hold.grasp
+            )
             for g in spread(graph.poses, indices, cost)[:TAKES]:
                 grip = graph.grip(g)
                 certificate = self.certificate(k, hold.piece, grip)
                 if certificate.margin < SMALLEST_MARGIN:
-                    self.tracer.reject(step.piece, f"the hold on {hold.piece} would slip (margin below {SMALLEST_MARGIN:g})")
+                    self.tracer.reject(
+                        step.piece, f"the hold on {hold.piece} would slip (margin below {SMALLEST_MARGIN:g})"
+                    )
                     continue
                 T = placed[hold.piece] @ grip.T_piece_tcp
                 mover = Mover(step.piece, arm, scene, gripping, grip.width + 2 * OPENING)
                 for q in self.robot.inverse(arm, T, self.robot.home[arm]):
-                    line = self.tracer.line(f"approach to hold {hold.piece}", mover, q, T, -T[:3, 2], APPROACH)
+                    line = self.tracer.line(
+                        f"approach to hold {hold.piece}", mover, q, T, -T[:3, 2], APPROACH
+                    )
                     if line is not None:
                         return Take(
-                            arm, hold.piece, grip.index, grip.width, readonly(line[-1]), readonly(line[0]), after, certificate
+                            arm,
+                            hold.piece,
+                            grip.index,
+                            grip.width,
+                            readonly(line[-1]),
+                            readonly(line[0]),
+                            after,
+                            certificate,
                         )
         return None
 

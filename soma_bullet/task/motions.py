@@ -1,4 +1,5 @@
-"""Timed motions of one arm: around obstacles, or along a straight line of the hand; checked again after the timing."""
+"""Timed motions of one arm: around obstacles, or along a straight line of the hand; checked again after the
+timing."""
 
 from __future__ import annotations
 
@@ -16,15 +17,24 @@ from soma_bullet.task.workcell import Hands, Workcell
 
 CHECK_EVERY = 0.010  # [s] between collision checks on a timed line
 FINGER_STEP = 0.004  # [m] of one finger; none is thinner
-EDGE_STEPS = (0.02, 0.004, 0.004, 0.004, 0.004)  # [rad] between checked states of an edge, one for each attempt
-FINER = 4  # parts of a step of the path that is taken, to be checked once more: the planner's edges may graze something between
+EDGE_STEPS = (
+    0.02,
+    0.004,
+    0.004,
+    0.004,
+    0.004,
+)  # [rad] between checked states of an edge, one for each attempt
+# parts of a step of the path that is taken, to be checked once more: the planner's edges may graze something
+# between
+FINER = 4
 SHORTEST = 1e-4  # [m] of a line that is worth a motion of its own
 BRIEFLY = 250  # checks of collisions, after which the search for a path that would only save time gives up
 CARRYING = 0.6  # of the joint limits while a hand carries a piece
 
 
 def widths_between(first: float, last: float) -> Array:
-    """Widths [m] of a hand that opens or closes, so close that what fits between two of them is thinner than a finger."""
+    """Widths [m] of a hand that opens or closes, so close that what fits between two of them is thinner than
+    a finger."""
     return np.linspace(first, last, 1 + int(np.ceil(abs(last - first) / 2 / FINGER_STEP)))
 
 
@@ -40,7 +50,8 @@ def plan_motion(
     checks: int = TransferOptions().checks,
     forbidden: Callable[[Array], bool] | None = None,
 ) -> Array:
-    """Timed joints (n, 6) around obstacles, free at all of the hand's widths [m] from the least to the greatest.
+    """Timed joints (n, 6) around obstacles, free at all of the hand's widths [m] from the least to the
+    greatest.
 
     Args:
         checks: of a state, after which the search gives up.
@@ -60,7 +71,8 @@ def plan_motion(
         samples = time_path(dense, gentle * limits.velocity, gentle * limits.acceleration, DT)
         try:
             fine = refined(dense, FINER)
-            # the states of a straight edge have been checked, but not those between them; what is bent is all new
+            # the states of a straight edge have been checked, but not those between them; what is bent is all
+            # new
             new = np.arange(len(fine)) % FINER > 0 if len(waypoints) == 2 else np.full(len(fine), True)
             check(fine[new], collides)
         except TimingError:
@@ -71,11 +83,17 @@ def plan_motion(
     return samples
 
 
-def collisions(workcell: Workcell, scene: Scene, hands: Hands, arm: int, widths: Array) -> Callable[[Array], bool]:
-    """Whether an arm collides at joints (6,) at any width of its hand from the least to the greatest of `widths` [m]."""
+def collisions(
+    workcell: Workcell, scene: Scene, hands: Hands, arm: int, widths: Array
+) -> Callable[[Array], bool]:
+    """Whether an arm collides at joints (6,) at any width of its hand from the least to the greatest of
+    `widths` [m]."""
     narrow, wide = float(np.min(widths)), float(np.max(widths))
     seen = scene if wide == narrow else scene.swept(arm, (wide - narrow) / 2)
-    configuration, slots = workcell.configuration(hands, arm, hands.qs[arm], narrow), workcell.robot.arm_slots(arm)
+    configuration, slots = (
+        workcell.configuration(hands, arm, hands.qs[arm], narrow),
+        workcell.robot.arm_slots(arm),
+    )
 
     def collides(q: Array) -> bool:
         configuration[slots] = q
@@ -99,7 +117,8 @@ def line_motion(
 def straight_motion(
     workcell: Workcell, scene: Scene, hands: Hands, arm: int, start: Array, offset: Array, kind: Kind
 ) -> Array:  # fmt: skip
-    """Timed joints (n, 6) along a line at the speed of its kind; a long placing is slowest at its end only."""
+    """Timed joints (n, 6) along a line at the speed of its kind; a long placing is slowest at its end
+    only."""
     length = float(np.linalg.norm(offset))
     if kind != "place" or length < PLACE + SHORTEST:
         return line_motion(workcell, scene, hands, arm, start, offset, SPEEDS[kind])
@@ -128,7 +147,8 @@ def refined(path: Array, parts: int) -> Array:
 
 
 def joined(path: Array, q: Array) -> Array:
-    """A timed path (n, 6) that starts at q (6,) instead, and comes back to itself by its end (minimum jerk)."""
+    """A timed path (n, 6) that starts at q (6,) instead, and comes back to itself by its end (minimum
+    jerk)."""
     s = np.linspace(0.0, 1.0, len(path))[:, None]
     bent: Array = path + (1.0 - (10 * s**3 - 15 * s**4 + 6 * s**5)) * (q - path[0])
     return bent

@@ -1,4 +1,5 @@
-"""A few promising options for each step: grasps of every direction that serve, with the arms that reach by them."""
+"""A few promising options for each step: grasps of every direction that serve, with the arms that reach by
+them."""
 
 from __future__ import annotations
 
@@ -20,7 +21,10 @@ from soma_bullet.task.workcell import Workcell
 OPTIONS = 4  # grasps for each arm
 AWKWARD = 0.5  # [s] that the cost of a grasp counts as
 BEYOND = 5.0  # cost of a grasp for each metre that the wrist is beyond the stand
-WRIST, NEAR = 0.25, 0.05  # [m] from the pads back to the wrist; before the stand's middle, where beyond begins
+WRIST, NEAR = (
+    0.25,
+    0.05,
+)  # [m] from the pads back to the wrist; before the stand's middle, where beyond begins
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +35,9 @@ class Candidate:
     grip: Grip
 
 
-Lines = Callable[[int, Candidate], list[Array]]  # joints (n, 6) along the free insertions of a step, from the goal back
+Lines = Callable[
+    [int, Candidate], list[Array]
+]  # joints (n, 6) along the free insertions of a step, from the goal back
 
 
 class OptionFinder:
@@ -41,7 +47,8 @@ class OptionFinder:
         self.workcell, self.robot, self.fetcher, self.lines = workcell, fetcher.robot, fetcher, lines
 
     def options(self, k: int, view: View, allowed: Indices) -> list[Option]:
-        """Options of a step by grasps that serve at its goal: without regrasps where one also serves where the piece is."""
+        """Options of a step by grasps that serve at its goal: without regrasps where one also serves where
+        the piece is."""
         if view.carrying is not None:
             return []
         direct = allowed[self.fetcher.clear_at(view, view.source)[allowed]]
@@ -58,12 +65,16 @@ class OptionFinder:
                     yield self._option(arm, candidate, AWKWARD * awkward + seconds, fetching, line)
 
     def _indirect(self, k: int, view: View, indices: Indices) -> Iterator[Option]:
-        """Where the piece changes hands on the way, or is put down; it is as if it were fetched by the steepest grasp."""
+        """Where the piece changes hands on the way, or is put down; it is as if it were fetched by the
+        steepest grasp."""
         graph, arms = self.fetcher.graph(view.piece), range(len(self.workcell.cell.arms))
         goal = self.workcell.settled[view.piece] @ graph.poses[indices]
         held, tilt = self.clear_grasps(view)
         grips = [graph.grip(g) for g in spread(graph.poses, held, tilt)]
-        at_pick = {arm: next((q for grip in grips if (q := self._at_pick(view, arm, grip)) is not None), None) for arm in arms}
+        at_pick = {
+            arm: next((q for grip in grips if (q := self._at_pick(view, arm, grip)) is not None), None)
+            for arm in arms
+        }
         for arm in arms:
             cost = comfort(self.robot, arm, goal) + 2 * (1 - graph.contact[indices])
             for candidate, awkward in self._best(k, view, arm, indices, cost):
@@ -72,17 +83,24 @@ class OptionFinder:
                     if fetching is not None and (giver != arm or len(arms) == 1):
                         yield self._option(giver, candidate, AWKWARD * awkward, fetching, line)
 
-    def _option(self, fetcher: int, candidate: Candidate, cost: float, fetching: Array, line: Array) -> Option:
+    def _option(
+        self, fetcher: int, candidate: Candidate, cost: float, fetching: Array, line: Array
+    ) -> Option:
         return Option(fetcher, candidate.arm, candidate.grip, cost, fetching, np.array([line[0], line[-1]]))
 
-    def _best(self, k: int, view: View, arm: int, indices: Indices, cost: Array) -> list[tuple[Candidate, float]]:
-        """Candidates that have a free insertion, with their costs; of every direction of the hand the best one first."""
+    def _best(
+        self, k: int, view: View, arm: int, indices: Indices, cost: Array
+    ) -> list[tuple[Candidate, float]]:
+        """Candidates that have a free insertion, with their costs; of every direction of the hand the best
+        one first."""
         graph = self.fetcher.graph(view.piece)
         beyond = self._beyond(arm, self.workcell.settled[view.piece] @ graph.poses[indices])
         ranked = spread(graph.poses, indices, cost + BEYOND * beyond)[: 3 * OPTIONS]
         costs = dict(zip(indices.tolist(), cost.tolist(), strict=True))
         candidates = (Candidate(arm, graph.grip(g)) for g in ranked)
-        return [(c, costs[c.grip.index]) for c in islice((c for c in candidates if self.lines(k, c)), OPTIONS)]
+        return [
+            (c, costs[c.grip.index]) for c in islice((c for c in candidates if self.lines(k, c)), OPTIONS)
+        ]
 
     def _at_pick(self, view: View, arm: int, grip: Grip) -> Array | None:
         """Joints (3, 6) of an arm before a pick, at it and after it; None where it cannot pick."""
@@ -90,7 +108,8 @@ class OptionFinder:
         return np.array([picks[0][0][-1], picks[0][0][0], picks[0][1][-1]]) if picks else None
 
     def _beyond(self, arm: int, Ts_world_tcp: Array) -> Array:
-        """How far [m] an arm has its wrist beyond the stand, seen from its base, with the hand at poses (n, 4, 4)."""
+        """How far [m] an arm has its wrist beyond the stand, seen from its base, with the hand at poses (n,
+        4, 4)."""
         middle = self.workcell.cell.stand_centre[:2]
         way = middle - self.robot.arm(arm).T_world_base[:2, 3]
         wrists = Ts_world_tcp[:, :2, 3] - WRIST * Ts_world_tcp[:, :2, 2]

@@ -1,4 +1,5 @@
-"""Where the search of a schedule sets out: what is in place, what hands hold and carry, what is laid down before all else."""
+"""Where the search of a schedule sets out: what is in place, what hands hold and carry, what is laid down
+before all else."""
 
 from __future__ import annotations
 
@@ -56,7 +57,9 @@ def set_out(placer: Placer, start: Start | None, stowed: bool = False) -> Outset
     if start.step:
         changed = placer.holding.settle(start.step - 1, state, placer.lying(start.step - 1))
         if changed is None:
-            raise NoSolutionError("schedule", "the hands cannot go on from how they hold", placer.tracer.rejections)
+            raise NoSolutionError(
+                "schedule", "the hands cannot go on from how they hold", placer.tracer.rejections
+            )
         takes, releases, state = changed
     if stowed or not start.carrying:
         return Outset(state, takes, releases)
@@ -73,7 +76,9 @@ def _as_found(placer: Placer, start: Start) -> State:
     return State({s.piece: placer.placed_pose(s.piece) for s in placer.plan.steps[: start.step]}, hands, grip)
 
 
-def _in_hands(placer: Placer, start: Start, found: State) -> tuple[tuple[int, Grip] | None, tuple[PutDown, ...]]:
+def _in_hands(
+    placer: Placer, start: Start, found: State
+) -> tuple[tuple[int, Grip] | None, tuple[PutDown, ...]]:
     """The piece of the first step in its hand, and how the others are laid down."""
     kept: tuple[int, Grip] | None = None
     hands, laid_down = found.hands, list[tuple[Carried, Grip]]()
@@ -84,13 +89,24 @@ def _in_hands(placer: Placer, start: Start, found: State) -> tuple[tuple[int, Gr
         else:
             laid_down.append((carried, grip))
         if len(start.carrying) > 1:  # it stands still with what it has while another lays something down
-            hands = hands.with_arm(carried.arm, start.hands.qs[carried.arm], grip.width).gripping(carried.arm, carried.piece)
+            hands = hands.with_arm(carried.arm, start.hands.qs[carried.arm], grip.width).gripping(
+                carried.arm, carried.piece
+            )
     puts: tuple[PutDown, ...] = ()
     poses = {step.piece: start.poses[step.piece] for step in placer.plan.steps[start.step :]}
     for carried, grip in laid_down:
         hands = hands.gripping(carried.arm, None)
         lying = {name: pose for name, pose in poses.items() if name != carried.piece}
-        view = View(-1, carried.piece, poses[carried.piece], (carried.arm, grip), lying, found.placed, hands, (carried.arm,))
+        view = View(
+            -1,
+            carried.piece,
+            poses[carried.piece],
+            (carried.arm, grip),
+            lying,
+            found.placed,
+            hands,
+            (carried.arm,),
+        )
         puts = (*puts, _put_down(placer, view, puts))
         poses[carried.piece] = puts[-1].pose_down
         hands = hands.with_arm(carried.arm, placer.robot.home[carried.arm], 0.0)
@@ -101,7 +117,9 @@ def _grip(placer: Placer, start: Start, carried: Carried) -> Grip:
     """How a hand has what it carries."""
     graph, T_piece_tcp = placer.fetcher.graph(carried.piece), inverse(carried.T_tcp_piece)
     index, _, _ = graph.nearest(T_piece_tcp)
-    return Grip(index, readonly(T_piece_tcp), float(start.hands.openings[carried.arm]), float(graph.contact[index]))
+    return Grip(
+        index, readonly(T_piece_tcp), float(start.hands.openings[carried.arm]), float(graph.contact[index])
+    )
 
 
 def _put_down(placer: Placer, view: View, before: Sequence[PutDown]) -> PutDown:

@@ -1,14 +1,16 @@
-"""Which segments of different arms may run at the same time: the order of a program, loosened as far as is safe.
+"""Which segments of different arms may run at the same time: the order of a program, loosened as far as is
+safe.
 
-A segment waits for the last earlier segment of another arm with which it may not overlap: because the assembly asks for their
-order, or because somewhere on the two paths the arms, with what they carry, would come too near to each other. No timing
-enters: whatever the delays of a guarded motion, what may overlap is free in every combination of states of the two paths.
+A segment waits for the last earlier segment of another arm with which it may not overlap: because the
+assembly asks for their order, or because somewhere on the two paths the arms, with what they carry, would
+come too near to each other. No timing enters: whatever the delays of a guarded motion, what may overlap is
+free in every combination of states of the two paths.
 
-An arm that has let go leaves as late as nothing else asks for it, and not for home, if it may as well wait where it is to fetch
-next. A path around obstacles that would have to wait is planned again, around everything that the other arm does meanwhile; it
-is taken if it waits for less. If it still waits, it is divided, with a stop in between: what keeps clear of the other arm comes
-before the wait. So is the path that it waits for, where the other arm is out of the way before its end.
-"""
+An arm that has let go leaves as late as nothing else asks for it, and not for home, if it may as well wait
+where it is to fetch next. A path around obstacles that would have to wait is planned again, around everything
+that the other arm does meanwhile; it is taken if it waits for less. If it still waits, it is divided, with a
+stop in between: what keeps clear of the other arm comes before the wait. So is the path that it waits for,
+where the other arm is out of the way before its end."""
 
 from __future__ import annotations
 
@@ -38,7 +40,8 @@ STRIDE = 8  # samples of a path from one to the next of those that its parts are
 
 
 def overlapped(workcell: Workcell, program: Program) -> Program:
-    """The same program, every segment waiting for no more than it must, with what it takes one arm at a time."""
+    """The same program, every segment waiting for no more than it must, with what it takes one arm at a
+    time."""
     encounters = Encounters(workcell)
     patient = _patient(encounters, program)
     together = _Loosener(encounters, prefetched(encounters, patient)).run()
@@ -46,11 +49,11 @@ def overlapped(workcell: Workcell, program: Program) -> Program:
 
 
 def _patient(encounters: Encounters, program: Program) -> Program:
-    """The same program with the ways home as late as nothing else asks for them, or on to what the arm does next.
+    """The same program with the ways home as late as nothing else asks for them, or on to what the arm does
+    next.
 
-    An arm that has let go stands near the assembly. It must leave before the other arm comes there, but not before the other
-    arm has fetched what it will bring.
-    """
+    An arm that has let go stands near the assembly. It must leave before the other arm comes there, but not
+    before the other arm has fetched what it will bring."""
     segments = list(program.segments)
     for k in range(len(segments) - 1, -1, -1):
         if segments[k].kind == "home":
@@ -62,7 +65,8 @@ def _patient(encounters: Encounters, program: Program) -> Program:
 
 
 def _later(encounters: Encounters, program: Program, k: int) -> list[Segment]:
-    """The segments, the k-th moved behind those of other arms that are free of where its arm stands and leave it its way."""
+    """The segments, the k-th moved behind those of other arms that are free of where its arm stands and leave
+    it its way."""
     workcell = encounters.workcell
     moments = list(contexts(workcell, program))
     before, segment, _ = moments[k]
@@ -79,7 +83,8 @@ def _later(encounters: Encounters, program: Program, k: int) -> list[Segment]:
 
 
 def _onwards(encounters: Encounters, program: Program, k: int) -> list[Segment]:
-    """The segments, a way home and the one from there replaced by one to what the arm does next, if it may wait there."""
+    """The segments, a way home and the one from there replaced by one to what the arm does next, if it may
+    wait there."""
     workcell, segments = encounters.workcell, list(program.segments)
     arm = segments[k].arm
     following = next((n for n in range(k + 1, len(segments)) if segments[n].arm == arm), None)
@@ -93,9 +98,15 @@ def _onwards(encounters: Encounters, program: Program, k: int) -> list[Segment]:
     before = entering(workcell, moments[k][0], "transit", arm, transit.piece)
     try:
         path = plan_motion(
-            workcell, scene_of(workcell, before, arm), before.hands, arm, segments[k].path[0], transit.path[-1],
-            widths_along(before, transit), program.seed + 17 * k,
-        )  # fmt: skip
+            workcell,
+            scene_of(workcell, before, arm),
+            before.hands,
+            arm,
+            segments[k].path[0],
+            transit.path[-1],
+            widths_along(before, transit),
+            program.seed + 17 * k,
+        )
     except (TransferError, TimingError):
         return segments
     onwards = replace(transit, path=readonly(path))
@@ -110,14 +121,18 @@ class _Loosener:
         self.moments = [(before, segment) for before, segment, _ in contexts(self.workcell, program)]
         self.sweeps = [encounters.sweep(before, segment) for before, segment in self.moments]
         self.assembling = [assembles(before, segment) for before, segment in self.moments]
-        self.known: list[dict[int, int]] = []  # for every segment, the last of each arm's that has ended when it starts
+        self.known: list[
+            dict[int, int]
+        ] = []  # for every segment, the last of each arm's that has ended when it starts
 
     def run(self) -> Program:
         while (j := len(self.known)) < len(self.moments):
             ended, avoidable = self._ended(j, self.sweeps[j])
             if avoidable and self._waits(j, ended) > SHORT:
                 if self.moments[j][1].kind in AROUND:
-                    ended = self._begun_early(j, self._around(j, ended) if self._waits(j, ended) > WORTH else ended)
+                    ended = self._begun_early(
+                        j, self._around(j, ended) if self._waits(j, ended) > WORTH else ended
+                    )
                 ended = self._left_early(j, ended)
             self.known.append(ended)
         after = tuple(tuple(sorted(i for i in set(ended.values()) if i >= 0)) for ended in self.known)
@@ -133,17 +148,26 @@ class _Loosener:
     def _waits(self, j: int, ended: dict[int, int]) -> float:
         """How long [s] an arm that has ended its last segment still waits for others."""
         ends, own = self._ends(), ended[self.moments[j][1].arm]
-        return max((ends[i] for i in ended.values() if i >= 0), default=0.0) - (ends[own] if own >= 0 else 0.0)
+        return max((ends[i] for i in ended.values() if i >= 0), default=0.0) - (
+            ends[own] if own >= 0 else 0.0
+        )
 
     def _begun_early(self, j: int, ended: dict[int, int]) -> dict[int, int]:
-        """Divides a path whose beginning need not wait, so that it ends sooner; what the beginning waits for."""
+        """Divides a path whose beginning need not wait, so that it ends sooner; what the beginning waits
+        for."""
         wait, segment, sweep = self._waits(j, ended), self.moments[j][1], self.sweeps[j]
         if wait < STOP + SHORT:
             return ended
         own = ended[segment.arm]
         bound = self.known[own] if own >= 0 else dict.fromkeys(ended, -1)
-        awaited = [i for i in range(j - 1, -1, -1) if (a := self.moments[i][1].arm) != segment.arm and bound[a] < i <= ended[a]]
-        free = _longest(len(sweep.path), lambda m: not any(meet(self.sweeps[i], sweep.part(0, m + 1)) for i in awaited))
+        awaited = [
+            i
+            for i in range(j - 1, -1, -1)
+            if (a := self.moments[i][1].arm) != segment.arm and bound[a] < i <= ended[a]
+        ]
+        free = _longest(
+            len(sweep.path), lambda m: not any(meet(self.sweeps[i], sweep.part(0, m + 1)) for i in awaited)
+        )
         parts = self._divided(j, free)
         if parts is None or wait + segment.seconds - max(wait, parts[0].seconds) - parts[1].seconds < SHORT:
             return ended
@@ -151,7 +175,8 @@ class _Loosener:
         return self._ended(j, self.sweeps[j])[0]
 
     def _left_early(self, j: int, ended: dict[int, int]) -> dict[int, int]:
-        """Divides the path for whose end a segment waits, where only its beginning is in the way; what that waits for then."""
+        """Divides the path for whose end a segment waits, where only its beginning is in the way; what that
+        waits for then."""
         arm, ends = self.moments[j][1].arm, self._ends()
         last = max((i for a, i in ended.items() if a != arm and i >= 0), key=lambda i: ends[i], default=-1)
         if last < 0 or self.moments[last][1].kind not in AROUND:
@@ -165,7 +190,11 @@ class _Loosener:
         kept = self.moments.copy(), self.sweeps.copy(), self.assembling.copy(), self.known
         self._replace(last, parts)
         moved = [{a: i + (i >= last) for a, i in known.items()} for known in self.known]
-        self.known = [*moved[: last + 1], {**moved[last], self.moments[last][1].arm: last}, *moved[last + 1 :]]
+        self.known = [
+            *moved[: last + 1],
+            {**moved[last], self.moments[last][1].arm: last},
+            *moved[last + 1 :],
+        ]
         sooner, _ = self._ended(j + 1, self.sweeps[j + 1])
         if self._waits(j + 1, sooner) <= wait - SHORT / 2:
             return sooner
@@ -173,7 +202,8 @@ class _Loosener:
         return ended
 
     def _divided(self, j: int, m: int) -> tuple[Segment, Segment] | None:
-        """A path in two, with a stop at its m-th sample; None where one would be too short, or cannot be timed."""
+        """A path in two, with a stop at its m-th sample; None where one would be too short, or cannot be
+        timed."""
         before, segment = self.moments[j]
         arm, path = segment.arm, segment.path
         if min(m, len(path) - 1 - m) < max(STRIDE, len(path) // PARTS):
@@ -195,19 +225,30 @@ class _Loosener:
     def _replace(self, j: int, parts: tuple[Segment, Segment]) -> None:
         """Puts two segments in the place of one."""
         before, (first, second) = self.moments[j][0], parts
-        between = entering(self.workcell, leaving(self.workcell, before, first), second.kind, second.arm, second.piece)
+        between = entering(
+            self.workcell, leaving(self.workcell, before, first), second.kind, second.arm, second.piece
+        )
         self.moments[j : j + 1] = [(before, first), (between, second)]
         self.sweeps[j : j + 1] = [self.encounters.sweep(*moment) for moment in self.moments[j : j + 2]]
         self.assembling[j : j + 1] = [self.assembling[j]] * 2
 
     def _ended(self, j: int, sweep: Sweep) -> tuple[dict[int, int], bool]:
-        """The last segment of each arm that must have ended before a segment; whether another path could do with fewer."""
+        """The last segment of each arm that must have ended before a segment; whether another path could do
+        with fewer."""
         segments = [segment for _, segment in self.moments]
         arms = len(self.workcell.cell.arms)
-        return awaited(j, segments, self.assembling, self.known, arms, lambda i, _: self.encounters.meet(self.sweeps[i], sweep))
+        return awaited(
+            j,
+            segments,
+            self.assembling,
+            self.known,
+            arms,
+            lambda i, _: self.encounters.meet(self.sweeps[i], sweep),
+        )
 
     def _around(self, j: int, ended: dict[int, int]) -> dict[int, int]:
-        """A path that keeps clear of what the other arms do meanwhile, if there is one that waits for less."""
+        """A path that keeps clear of what the other arms do meanwhile, if there is one that waits for
+        less."""
         before, segment = self.moments[j]
         arm, own = segment.arm, ended[segment.arm]
         bound = self.known[own] if own >= 0 else dict.fromkeys(ended, -1)
@@ -219,7 +260,9 @@ class _Loosener:
         ends = silhouette.at(start), silhouette.at(goal)
         ghosts = [self.sweeps[i].at(k) for i in meanwhile for k in self.sweeps[i].marks()]
         # those that are near its ends cannot be gone around
-        obstacle = Obstacle([g for g in ghosts if all(distance(end, g, margin) > margin for end in ends)], margin)
+        obstacle = Obstacle(
+            [g for g in ghosts if all(distance(end, g, margin) > margin for end in ends)], margin
+        )
         if not len(obstacle):
             return ended
         try:
@@ -239,7 +282,8 @@ class _Loosener:
 
 
 def _longest(count: int, holds: Callable[[int], bool]) -> int:
-    """The greatest of some samples below `count` for which something holds that holds for all before, if for any; else 0."""
+    """The greatest of some samples below `count` for which something holds that holds for all before, if for
+    any; else 0."""
     low, high = 0, PARTS
     while high - low > 1:
         middle = (low + high) // 2

@@ -1,4 +1,5 @@
-"""How the piece of a step goes into its place: by which grasps and along which lines, and what changes hands afterwards."""
+"""How the piece of a step goes into its place: by which grasps and along which lines, and what changes hands
+afterwards."""
 
 from __future__ import annotations
 
@@ -43,7 +44,9 @@ class Placer:
         first: the step that comes first; the pieces of those before it stand.
     """
 
-    def __init__(self, tracer: Tracer, plan: AssemblyPlan, fetcher: Fetcher, poses: Mapping[str, Array], first: int):
+    def __init__(
+        self, tracer: Tracer, plan: AssemblyPlan, fetcher: Fetcher, poses: Mapping[str, Array], first: int
+    ):
         self.tracer, self.plan, self.fetcher, self.poses, self.first = tracer, plan, fetcher, poses, first
         self.workcell: Workcell = tracer.workcell
         self.robot, self.hand = tracer.robot, fetcher.hand
@@ -68,11 +71,14 @@ class Placer:
         return set(step.grasps).intersection(*held)
 
     def chosen(self, k: int, state: State) -> Indices:
-        """Grasps of the step's piece that serve at the goal, while it is held, and beside the hands that hold."""
+        """Grasps of the step's piece that serve at the goal, while it is held, and beside the hands that
+        hold."""
         step = self.plan.steps[k]
         indices = np.array(sorted(self.allowed(k)), int)
         if not len(indices):
-            self.tracer.reject(step.piece, "no accessible grasp" + (" that may hold it" if step.holds else ""))
+            self.tracer.reject(
+                step.piece, "no accessible grasp" + (" that may hold it" if step.holds else "")
+            )
             return indices
         clear = self._clear_of_holders(k, state, indices)
         met = int((~clear).sum())
@@ -80,10 +86,13 @@ class Placer:
         return indices[clear]
 
     def _clear_of_holders(self, k: int, state: State, indices: Indices) -> Mask:
-        """Whether the hand, swept along the insertion, keeps clear of placed pieces and of the hands that hold."""
+        """Whether the hand, swept along the insertion, keeps clear of placed pieces and of the hands that
+        hold."""
         step, graph = self.plan.steps[k], self.fetcher.graph(self.plan.steps[k].piece)
         Ts, widths = self.workcell.goals[step.piece] @ graph.poses[indices], graph.widths[indices]
-        sweep = sweep_hand(self.hand, Ts, widths, way_out=0.0, sweep=-np.array(step.direction) * (step.way + RUN_IN))
+        sweep = sweep_hand(
+            self.hand, Ts, widths, way_out=0.0, sweep=-np.array(step.direction) * (step.way + RUN_IN)
+        )
         obstacles = []
         for name in state.placed:
             parts = self.workcell.assembly.pieces[self.workcell.assembly.index(name)].parts
@@ -96,7 +105,8 @@ class Placer:
         return clear
 
     def placing(self, k: int, state: State, candidate: Candidate, pick: Pick | None = None) -> Placing | None:
-        """Insertion, soon after the pick if there is one, and what follows it; or None with the reason counted."""
+        """Insertion, soon after the pick if there is one, and what follows it; or None with the reason
+        counted."""
         step, certificate = self.plan.steps[k], None
         if any(hold.piece == step.piece and not hold.taken for hold in step.holds):
             certificate = self.holding.certificate(k, step.piece, candidate.grip)
@@ -104,7 +114,9 @@ class Placer:
                 self.tracer.reject(step.piece, f"the hold would slip (margin below {SMALLEST_MARGIN:g})")
                 return None
         hands = state.hands.gripping(candidate.arm, step.piece)
-        lines = self.lines_in(k, candidate) if pick is None else self.finder.nearest(k, candidate, pick.q_lifted)
+        lines = (
+            self.lines_in(k, candidate) if pick is None else self.finder.nearest(k, candidate, pick.q_lifted)
+        )
         for line in lines:
             if not self.tracer.free("insertion", self._inserter(k, hands, state.placed, candidate), line):
                 continue
@@ -121,10 +133,14 @@ class Placer:
             step, cell = self.plan.steps[k], self.workcell
             T_goal = cell.settled[step.piece] @ candidate.grip.T_piece_tcp
             placed = {s.piece: self.placed_pose(s.piece) for s in self.plan.steps[:k]}
-            mover = self._inserter(k, cell.idle().gripping(candidate.arm, step.piece), placed, candidate, alone=True)
+            mover = self._inserter(
+                k, cell.idle().gripping(candidate.arm, step.piece), placed, candidate, alone=True
+            )
             solutions = self.robot.inverse(candidate.arm, T_goal, self.robot.home[candidate.arm])
             if not len(solutions):
-                self.tracer.reject(step.piece, f"{self.robot.arm(candidate.arm).name} arm does not reach the goal")
+                self.tracer.reject(
+                    step.piece, f"{self.robot.arm(candidate.arm).name} arm does not reach the goal"
+                )
             away, length = -np.array(step.direction), step.way + RUN_IN
             lines = [self.tracer.line("insertion", mover, q, T_goal, away, length) for q in solutions]
             self._insertions[memory] = [line for line in lines if line is not None]
@@ -135,10 +151,14 @@ class Placer:
         if k not in self._slow:
             step = self.plan.steps[k]
             standing = {s.piece: self.placed_pose(s.piece) for s in self.plan.steps[:k]}
-            self._slow[k] = guarded_length(self.workcell, step.piece, np.array(step.direction), step.way + RUN_IN, standing)
+            self._slow[k] = guarded_length(
+                self.workcell, step.piece, np.array(step.direction), step.way + RUN_IN, standing
+            )
         return self._slow[k]
 
-    def _inserter(self, k: int, hands: Hands, placed: dict[str, Array], candidate: Candidate, alone: bool = False) -> Mover:
+    def _inserter(
+        self, k: int, hands: Hands, placed: dict[str, Array], candidate: Candidate, alone: bool = False
+    ) -> Mover:
         step = self.plan.steps[k]
         meant = frozenset(pair for pair in self.workcell.touching if step.piece in pair)
         carried = (step.piece, inverse(candidate.grip.T_piece_tcp))

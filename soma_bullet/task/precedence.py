@@ -1,4 +1,5 @@
-"""What a segment waits for once the arms move at the same time: the assembly, its piece, other arms in its way."""
+"""What a segment waits for once the arms move at the same time: the assembly, its piece, other arms in its
+way."""
 
 from __future__ import annotations
 
@@ -17,10 +18,15 @@ def assembles(before: Context, segment: Segment) -> bool:
 
 
 def awaited(
-    j: int, segments: Sequence[Segment], assembling: Sequence[bool], known: Sequence[dict[int, int]], arms: int,
+    j: int,
+    segments: Sequence[Segment],
+    assembling: Sequence[bool],
+    known: Sequence[dict[int, int]],
+    arms: int,
     meets: Callable[[int, int], bool],
-) -> tuple[dict[int, int], bool]:  # fmt: skip
-    """The last segment of each arm that must have ended before the j-th; whether another path of it could wait for fewer.
+) -> tuple[dict[int, int], bool]:
+    """The last segment of each arm that must have ended before the j-th; whether another path of it could
+    wait for fewer.
 
     Args:
         assembling: of every segment, whether it `assembles`.

@@ -1,10 +1,9 @@
 """Fetches earlier than the schedule has them, so that one arm fetches while the other builds.
 
-A schedule is found step by step: a piece is fetched once the one before it is in place, and where two arms would come near to
-each other, the one whose step is later waits. Where it is quicker the other way round, a fetch goes before what the other arm
-does meanwhile, and the arm waits with the piece in its hand. What one arm does keeps its order; so does what changes the
-assembly.
-"""
+A schedule is found step by step: a piece is fetched once the one before it is in place, and where two arms
+would come near to each other, the one whose step is later waits. Where it is quicker the other way round, a
+fetch goes before what the other arm does meanwhile, and the arm waits with the piece in its hand. What one
+arm does keeps its order; so does what changes the assembly."""
 
 from __future__ import annotations
 
@@ -17,7 +16,17 @@ from soma_bullet.motion.transfer import TransferError
 from soma_bullet.task.builder import scene_of, widths_along
 from soma_bullet.task.motions import BRIEFLY, check, collisions, plan_motion, thinned
 from soma_bullet.task.precedence import UNLADEN, assembles, awaited
-from soma_bullet.task.segments import AROUND, Context, Program, Segment, beginning, contexts, entering, leaving, one_at_a_time
+from soma_bullet.task.segments import (
+    AROUND,
+    Context,
+    Program,
+    Segment,
+    beginning,
+    contexts,
+    entering,
+    leaving,
+    one_at_a_time,
+)
 from soma_bullet.task.sweeps import Encounters, Sweep
 
 FETCHING = ("transit", "approach", "grasp", "lift", "transfer")  # what may come earlier, in one stretch
@@ -26,7 +35,8 @@ CHANGES = 12  # of the order, at most
 
 
 def prefetched(encounters: Encounters, program: Program) -> Program:
-    """The same program, with those fetches earlier that make it end sooner once the arms move at the same time."""
+    """The same program, with those fetches earlier that make it end sooner once the arms move at the same
+    time."""
     order = _Order(encounters, program)
     for _ in range(CHANGES):
         if not order.improve():
@@ -35,7 +45,8 @@ def prefetched(encounters: Encounters, program: Program) -> Program:
 
 
 class _Order:
-    """Segments in one order, and when they end; what is known of one or two of them outlasts changes of the order."""
+    """Segments in one order, and when they end; what is known of one or two of them outlasts changes of the
+    order."""
 
     def __init__(self, encounters: Encounters, program: Program):
         self.encounters, self.workcell, self.program = encounters, encounters.workcell, program
@@ -80,7 +91,8 @@ class _Order:
         return waits, max(ends, default=0.0)
 
     def improve(self) -> bool:
-        """Bring one fetch forward, the one that waits the longest of those that help; whether there was one."""
+        """Bring one fetch forward, the one that waits the longest of those that help; whether there was
+        one."""
         for fetch in sorted(self._fetches(), key=lambda fetch: -max(self.waits[k] for k in fetch)):
             best, chosen = self.makespan - GAIN, None
             for part in (fetch[:count] for count in range(len(fetch), 0, -1)):
@@ -95,13 +107,16 @@ class _Order:
         return False
 
     def _fetches(self) -> Iterator[list[int]]:
-        """Stretches of what one arm does with nothing but fetching in them, in which it waits for another arm."""
+        """Stretches of what one arm does with nothing but fetching in them, in which it waits for another
+        arm."""
         for arm in range(self.arms):
             mine = [k for k, segment in enumerate(self.segments) if segment.arm == arm]
             n = 0
             while n < len(mine):
                 count = 0
-                while n + count < len(mine) and self._fetching(mine[n + count], self.segments[mine[n]].piece, count == 0):
+                while n + count < len(mine) and self._fetching(
+                    mine[n + count], self.segments[mine[n]].piece, count == 0
+                ):
                     count += 1
                 if count and max(self.waits[k] for k in mine[n : n + count]) > GAIN:
                     yield mine[n : n + count]
@@ -113,7 +128,8 @@ class _Order:
         return here and segment.piece == piece and not self._assembling[segment]
 
     def _places(self, fetch: Sequence[int]) -> Iterator[int]:
-        """Segments of other arms before which a fetch may come as far as the order of the work goes, latest first."""
+        """Segments of other arms before which a fetch may come as far as the order of the work goes, latest
+        first."""
         arm, piece = self.segments[fetch[0]].arm, self.segments[fetch[0]].piece
         empty = all(self.segments[k].kind in UNLADEN for k in fetch)
         passed = [self.segments[k] for k in range(fetch[0], fetch[-1]) if k not in fetch]
@@ -131,13 +147,16 @@ class _Order:
         return [self.segments[k] for k in [*first, *sorted(set(range(len(self.segments))) - set(first))]]
 
     def _mended(self, fetch: Sequence[int], place: int) -> list[Segment] | None:
-        """The same with other paths where those that change places are not free any more; None where there are none."""
+        """The same with other paths where those that change places are not free any more; None where there
+        are none."""
         changed = self._moved(fetch, place)
         context, last = self.moments[place - 1][2] if place else self._first, changed[place + len(fetch) - 1]
         for k in range(place, fetch[-1] + 1):
             segment = changed[k]
             before = entering(self.workcell, context, segment.kind, segment.arm, segment.piece)
-            if segment.arm == last.arm or self.encounters.meet(self._rests[last], self.encounters.sweep(before, segment)):
+            if segment.arm == last.arm or self.encounters.meet(
+                self._rests[last], self.encounters.sweep(before, segment)
+            ):
                 free = self._free(before, segment)
                 if free is None:
                     return None
@@ -150,7 +169,11 @@ class _Order:
         """A segment where its path is free in a context, or with another path; None where there is none."""
         if len(segment.path) < 2:
             return segment
-        arm, scene, widths = segment.arm, scene_of(self.workcell, before, segment.arm), widths_along(before, segment)
+        arm, scene, widths = (
+            segment.arm,
+            scene_of(self.workcell, before, segment.arm),
+            widths_along(before, segment),
+        )
         try:
             check(thinned(segment.path), collisions(self.workcell, scene, before.hands, arm, widths))
             return segment
@@ -160,7 +183,15 @@ class _Order:
             return None
         try:
             path = plan_motion(
-                self.workcell, scene, before.hands, arm, segment.path[0], segment.path[-1], widths, self.program.seed, BRIEFLY
+                self.workcell,
+                scene,
+                before.hands,
+                arm,
+                segment.path[0],
+                segment.path[-1],
+                widths,
+                self.program.seed,
+                BRIEFLY,
             )
         except (TransferError, TimingError):
             return None

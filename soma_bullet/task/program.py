@@ -37,11 +37,12 @@ def make_program(
 ) -> Program:
     """Schedule and trajectories of a plan, from the beginning or from a state as found.
 
-    A motion that cannot be found rules out exactly its step, arm and grasp, or this way to regrasp, and the search of the
-    schedule goes on.
+    A motion that cannot be found rules out exactly its step, arm and grasp, or this way to regrasp, and the
+    search of the schedule goes on.
 
     Args:
-        scheduler: of the same plan, feed and start, which has searched before: what it knows is not found again.
+        scheduler: of the same plan, feed and start, which has searched before: what it knows is not found
+            again.
 
     Raises:
         NoSolutionError: with what blocked, most frequent first.
@@ -60,10 +61,19 @@ def make_program(
                 progress(error.reason)
             continue
         return Program(
-            workcell.cell.name, workcell.assembly.name, workcell.assembly.digest, seed, plan.order, feed, schedule,
-            tuple(segment for _, segment, _ in made), one_at_a_time(len(made)),
-            workcell.T_world_assembly, workcell.robot.stand_size, start,
-        )  # fmt: skip
+            workcell.cell.name,
+            workcell.assembly.name,
+            workcell.assembly.digest,
+            seed,
+            plan.order,
+            feed,
+            schedule,
+            tuple(segment for _, segment, _ in made),
+            one_at_a_time(len(made)),
+            workcell.T_world_assembly,
+            workcell.robot.stand_size,
+            start,
+        )
 
 
 def recover_program(
@@ -74,7 +84,8 @@ def recover_program(
     noise: tuple[float, float] = (0.0, 0.0),
     square: bool = True,
 ) -> Program:
-    """The rest of a plan from a state as found: arms and pieces wherever they are, perhaps one of them in a hand.
+    """The rest of a plan from a state as found: arms and pieces wherever they are, perhaps one of them in a
+    hand.
 
     Args:
         noise, square: of the poses as found, as in `Feed`.
@@ -88,7 +99,8 @@ def recover_program(
 
 
 def replan(workcell: Workcell, program: Program, index: int, qs: Array) -> Segment:
-    """One motion segment of the program made anew from measured joints qs (arms, 6): a line as a line, else to the same end.
+    """One motion segment of the program made anew from measured joints qs (arms, 6): a line as a line, else
+    to the same end.
 
     Raises:
         NoSolutionError: it cannot be made from there.
@@ -98,7 +110,9 @@ def replan(workcell: Workcell, program: Program, index: int, qs: Array) -> Segme
     scene, start = scene_of(workcell, context, segment.arm), qs[segment.arm]
     try:
         if segment.kind in SPEEDS:
-            path = straight_motion(workcell, scene, context.hands, segment.arm, start, segment.offset, segment.kind)
+            path = straight_motion(
+                workcell, scene, context.hands, segment.arm, start, segment.offset, segment.kind
+            )
         else:
             widths = widths_along(context, segment)
             goal, seed = segment.path[-1], program.seed + index

@@ -1,9 +1,9 @@
-"""The grasp graph of a piece: which grasps serve in which resting pose, and which pairs of hands may hold it together.
+"""The grasp graph of a piece: which grasps serve in which resting pose, and which pairs of hands may hold it
+together.
 
-Nodes are the steady resting poses and the goal; two nodes are joined by the grasps that serve at both (P. Tournassoud et al.,
-"Regrasping", ICRA 1987; W. Wan, K. Harada, "Regrasp planning using 10,000 grasps", 2016). A put-down goes from node to node, a
-hand-over from grasp to grasp.
-"""
+Nodes are the steady resting poses and the goal; two nodes are joined by the grasps that serve at both (P.
+Tournassoud et al., "Regrasping", ICRA 1987; W. Wan, K. Harada, "Regrasp planning using 10,000 grasps", 2016).
+A put-down goes from node to node, a hand-over from grasp to grasp."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from soma_bullet.task.tracing import Grip
 
 
 class GraspGraph:
-    """One piece, its table of grasps, and a hand; its parts are computed when they are asked for, and once."""
+    """One piece, its table of grasps, and a hand; its parts are computed when they are asked for, and
+    once."""
 
     def __init__(self, piece: Workpiece, table: GraspTable, hand: Hand):
         self.piece, self.hand = piece, hand
@@ -42,7 +43,9 @@ class GraspGraph:
     @cached_property
     def serving(self) -> Mask:
         """Whether the hand is clear of the plane in each resting pose by each grasp: bool (k, n)."""
-        return np.array([self.above_table(pose) for pose in self.resting], bool).reshape(len(self.resting), len(self.widths))
+        return np.array([self.above_table(pose) for pose in self.resting], bool).reshape(
+            len(self.resting), len(self.widths)
+        )
 
     def above_table(self, T_table_piece: Array) -> Mask:
         """Whether the hand is clear of the table by each grasp with the piece at a pose: bool (n,)."""
@@ -50,7 +53,8 @@ class GraspGraph:
         return np.asarray(sweep.above(0.0) > SUPPORT_MARGIN)
 
     def together(self, index: int) -> Mask:
-        """Which grasps (n,) another hand may have at the same time as one hand has this one, on their ways in and out too."""
+        """Which grasps (n,) another hand may have at the same time as one hand has this one, on their ways in
+        and out too."""
         if index not in self._meets:
             one = sweep_hand(self.hand, self.poses[[index]], self.widths[[index]])
             self._meets[index] = hands_clear(sweep_hand(self.hand, self.poses, self.widths), one)[:, 0]

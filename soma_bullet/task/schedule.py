@@ -1,9 +1,10 @@
-"""The schedule: which arm picks, inserts, holds and releases which piece, found together with the geometry that allows it.
+"""The schedule: which arm picks, inserts, holds and releases which piece, found together with the geometry
+that allows it.
 
-A piece whose turn comes while a hand holds can be brought by one arm only, which the other is in the way of. Such pieces can be
-laid down differently before the first step, when both arms are free: the search is tried without that first, or with it for
-the pieces that no single grasp can bring; then best first over where they are laid down.
-"""
+A piece whose turn comes while a hand holds can be brought by one arm only, which the other is in the way of.
+Such pieces can be laid down differently before the first step, when both arms are free: the search is tried
+without that first, or with it for the pieces that no single grasp can bring; then best first over where they
+are laid down."""
 
 from __future__ import annotations
 
@@ -25,7 +26,10 @@ from soma_bullet.task.workcell import Workcell
 
 # candidates a step and lines of hands in each round: broad and shallow before deep
 ROUNDS = ((8, 1500), (12, 1500), (24, 4000), (72, 8000), (1_000_000, 16_000))
-SHALLOW, BRANCHES = (200, 600), 12  # lines after a piece has been laid down elsewhere, and places where one is laid down
+SHALLOW, BRANCHES = (
+    (200, 600),
+    12,
+)  # lines after a piece has been laid down elsewhere, and places where one is laid down
 MOST_REARRANGED = 12_000  # lines of all of these
 MOST_LINES = 36_000  # of hands made or checked in all rounds together, about 25 s
 
@@ -54,7 +58,9 @@ class Scheduler:
             found = None
         if found is None:
             raise NoSolutionError(
-                "schedule", f"no arm and grasp serve every step of {' <- '.join(self.plan.order)}", self.rejections
+                "schedule",
+                f"no arm and grasp serve every step of {' <- '.join(self.plan.order)}",
+                self.rejections,
             )
         return found
 
@@ -74,13 +80,16 @@ class Scheduler:
         return None
 
     def _made(self, search: Search, found: tuple[Assignment, ...]) -> Schedule:
-        return Schedule(found, dict((+self.rejections).most_common()), search.outset.takes, search.outset.releases)
+        return Schedule(
+            found, dict((+self.rejections).most_common()), search.outset.takes, search.outset.releases
+        )
 
     def _rearranged(self, width: int) -> Schedule | None:
-        """The first schedule with pieces laid down elsewhere before the first step, for the steps that the search stops at.
+        """The first schedule with pieces laid down elsewhere before the first step, for the steps that the
+        search stops at.
 
-        Best first: where laying down one piece lets the search come farther, the next piece is laid down from there on.
-        """
+        Best first: where laying down one piece lets the search come farther, the next piece is laid down from
+        there on."""
         helpless, most = self._helpless(), self._effort.lines + MOST_REARRANGED
         begun = [search for search in self._searches.values() if search is not None]
         for lines in SHALLOW:
@@ -111,12 +120,17 @@ class Scheduler:
         return None
 
     def rule_out(self, assignment: Assignment, regrasp: Regrasp | None) -> None:
-        """Exclude what a later stage could not make: the way to regrasp where that is to blame, else the arm and grasp."""
+        """Exclude what a later stage could not make: the way to regrasp where that is to blame, else the arm
+        and grasp."""
         lost = {w: s for w, s in self._rearrangements.items() if any(regrasp is r for r in s.prologue)}
         self._rearrangements = {w: s for w, s in self._rearrangements.items() if w not in lost}
         if isinstance(regrasp, Square):
             self.excluded.add(square_key(regrasp))
-            self._searches = {k: s for k, s in self._searches.items() if s is None or all(regrasp is not r for r in s.prologue)}
+            self._searches = {
+                k: s
+                for k, s in self._searches.items()
+                if s is None or all(regrasp is not r for r in s.prologue)
+            }
             return
         for prepared, search in list(self._searches.items()):
             if search is not None and regrasp is not None and any(regrasp is r for r in search.prologue):
@@ -167,8 +181,15 @@ class Scheduler:
         if not prepared:
             poses = {name: self.feed.pose(name) for name in self.feed.names}
             return Search(
-                self.workcell, self.plan, self.feed, poses, self.start, self.rejections, self.excluded, self._effort
-            )  # fmt: skip
+                self.workcell,
+                self.plan,
+                self.feed,
+                poses,
+                self.start,
+                self.rejections,
+                self.excluded,
+                self._effort,
+            )
         before = self._search(prepared[:-1])
         if before is None or before.outset.carried is not None:
             return None
@@ -176,7 +197,8 @@ class Scheduler:
         return next((search for search in made if search is not None), None)
 
     def _after(self, before: Search, regrasps: tuple[Regrasp, ...]) -> Search | None:
-        """The search after more regrasps before the first step; None where they end with no put-down, or are ruled out."""
+        """The search after more regrasps before the first step; None where they end with no put-down, or are
+        ruled out."""
         prologue, last = (*before.prologue, *regrasps), regrasps[-1]
         ways = [way(prologue[:count]) for count in range(1, len(prologue) + 1)]
         if not self.excluded.isdisjoint(ways) or not isinstance(last, PutDown):
@@ -184,7 +206,15 @@ class Scheduler:
         if ways[-1] not in self._rearrangements:
             poses = {**before.poses, last.piece: last.pose_down}
             self._rearrangements[ways[-1]] = Search(
-                self.workcell, self.plan, self.feed, poses, self.start, self.rejections, self.excluded, self._effort, prologue
+                self.workcell,
+                self.plan,
+                self.feed,
+                poses,
+                self.start,
+                self.rejections,
+                self.excluded,
+                self._effort,
+                prologue,
             )
         return self._rearrangements[ways[-1]]
 

@@ -1,10 +1,10 @@
 """The search of a schedule with every piece in its place on the table.
 
-A depth-first search over the steps of the plan. Each step tries arms and grasps, cheapest first, and keeps one only if the hand
-serves where the piece lies and at the goal, the straight lines of approach, lift, insertion and retreat are free, hands and
-arms clear each other, and a hold has its certificate. Where no grasp serves at both, the piece is put down or handed over on
-the way. Every rejection is counted under its reason.
-"""
+A depth-first search over the steps of the plan. Each step tries arms and grasps, cheapest first, and keeps
+one only if the hand serves where the piece lies and at the goal, the straight lines of approach, lift,
+insertion and retreat are free, hands and arms clear each other, and a hold has its certificate. Where no
+grasp serves at both, the piece is put down or handed over on the way. Every rejection is counted under its
+reason."""
 
 from __future__ import annotations
 
@@ -32,12 +32,23 @@ from soma_bullet.task.turns import Option, Turns
 from soma_bullet.task.workcell import Workcell
 
 LOOKED_AT = 12  # as many candidates as are wanted are looked at before the piece is regrasped instead
-SHALLOW = 8  # candidates a step; no more, and what one grasp can bring is not regrasped, but for the first piece, briefly
+# candidates a step; no more, and what one grasp can bring is not regrasped, but for the first piece, briefly
+SHALLOW = 8
 DEEP = 72  # candidates a step; more, and more goal grasps are regrasped
-REGRASPED, WAYS = 6, 2  # goal grasps that are brought about by regrasps, and ways of each kind for one of them
+REGRASPED, WAYS = (
+    6,
+    2,
+)  # goal grasps that are brought about by regrasps, and ways of each kind for one of them
 BRIEF = tuple(chain for chain in CHAINS if len(chain) == 1)
-PREPARATIONS: tuple[tuple[Action, ...], ...] = (("put down",), ("hand over", "put down"), ("put down", "put down"))
-NEAREST, STRAIGHTEST = 4e-3, np.deg2rad(8.0)  # [m], [rad] a carried piece sits in one of its grasps within this
+PREPARATIONS: tuple[tuple[Action, ...], ...] = (
+    ("put down",),
+    ("hand over", "put down"),
+    ("put down", "put down"),
+)
+NEAREST, STRAIGHTEST = (
+    4e-3,
+    np.deg2rad(8.0),
+)  # [m], [rad] a carried piece sits in one of its grasps within this
 
 
 class Search:
@@ -51,10 +62,17 @@ class Search:
     """
 
     def __init__(
-        self, workcell: Workcell, plan: AssemblyPlan, feed: Feed, poses: dict[str, Array], start: Start | None,
-        rejections: Counter[str], excluded: set[tuple[object, ...]], effort: Effort,
+        self,
+        workcell: Workcell,
+        plan: AssemblyPlan,
+        feed: Feed,
+        poses: dict[str, Array],
+        start: Start | None,
+        rejections: Counter[str],
+        excluded: set[tuple[object, ...]],
+        effort: Effort,
         prologue: tuple[Regrasp, ...] = (),
-    ):  # fmt: skip
+    ):
         self.workcell, self.plan, self.start = workcell, plan, start
         self.robot = workcell.robot
         self.rejections, self.excluded = rejections, excluded
@@ -73,7 +91,8 @@ class Search:
         self.fetcher.moved = frozenset(regrasp.piece for regrasp in self.prologue)
 
     def find(self, width: int, lines: int) -> tuple[Assignment, ...] | None:
-        """The first schedule among `width` candidates a step, or None, also where it takes more than `lines` lines of hands.
+        """The first schedule among `width` candidates a step, or None, also where it takes more than `lines`
+        lines of hands.
 
         Raises:
             NoSolutionError: a piece is out of reach.
@@ -83,7 +102,9 @@ class Search:
         try:
             for assignments in self._search(self.first, self.outset.state, width, None, turns):
                 if self.prologue and assignments:
-                    assignments[0] = replace(assignments[0], regrasps=(*self.prologue, *assignments[0].regrasps))
+                    assignments[0] = replace(
+                        assignments[0], regrasps=(*self.prologue, *assignments[0].regrasps)
+                    )
                 return tuple(assignments)
         except TooManyLines:
             pass
@@ -99,16 +120,23 @@ class Search:
         chosen = np.array(sorted(self.placer.allowed(k)), int)
         turns = []
         for arm in view.free:
-            cost = comfort(self.robot, arm, self.workcell.settled[view.piece] @ graph.poses[chosen]) - graph.contact[chosen]
+            cost = (
+                comfort(self.robot, arm, self.workcell.settled[view.piece] @ graph.poses[chosen])
+                - graph.contact[chosen]
+            )
             turns.append([Candidate(arm, graph.grip(g)) for g in spread(graph.poses, chosen, cost)])
         candidates = [c for turn in itertools.zip_longest(*turns) for c in turn if c is not None]
-        usable = [c for c in candidates[: LOOKED_AT * REGRASPED] if self.placer.lines_in(k, c)][: 2 * REGRASPED]
+        usable = [c for c in candidates[: LOOKED_AT * REGRASPED] if self.placer.lines_in(k, c)][
+            : 2 * REGRASPED
+        ]
         for actions in PREPARATIONS:
             for candidate in usable:
                 ways = self.fetcher.chains(view, candidate.arm, candidate.grip, actions)
                 yield from (regrasps for regrasps, _ in itertools.islice(ways, 1))
 
-    def _search(self, k: int, state: State, width: int, previous: Option | None, turns: Turns) -> Iterator[list[Assignment]]:
+    def _search(
+        self, k: int, state: State, width: int, previous: Option | None, turns: Turns
+    ) -> Iterator[list[Assignment]]:
         """Schedules from step k on, the step before which was done in a known way."""
         self.deepest = max(self.deepest, k)
         if k == len(self.plan.steps):
@@ -137,9 +165,9 @@ class Search:
     ) -> Iterator[tuple[Assignment, State]]:
         """The ways to do step k: direct ones first, then with regrasps, fewest and quickest first.
 
-        At first a piece that can be had directly is regrasped only by one action, before the first step, and to be held from
-        where no arm can have it otherwise: a hand that holds it from there may leave room for the next.
-        """
+        At first a piece that can be had directly is regrasped only by one action, before the first step, and
+        to be held from where no arm can have it otherwise: a hand that holds it from there may leave room for
+        the next."""
         unsquared: list[tuple[Assignment, State]] = []
         direct: set[tuple[float, ...]] = set()
         for candidate in self._direct(k, state, view, width, ranked):
@@ -173,9 +201,11 @@ class Search:
         piece = self.plan.steps[k].piece
         free = tuple(arm for arm in range(len(self.workcell.cell.arms)) if arm not in state.hands.gripped)
         carrying = self.outset.carried if k == self.first else None
-        return View(k, piece, self.poses[piece], carrying, self.placer.lying(k), state.placed, state.hands, free)
+        return View(
+            k, piece, self.poses[piece], carrying, self.placer.lying(k), state.placed, state.hands, free
+        )
 
-    # --- candidates, cheapest first ------------------------------------------------------------------------------------
+    # --- candidates, cheapest first -------------------------------------------------------------------------
 
     def _in_reach(self, view: View) -> bool:
         """Whether any arm can pick the piece by any grasp at all."""
@@ -195,19 +225,27 @@ class Search:
             options[k] = self.finder.options(k, view, np.array(sorted(self.placer.allowed(k)), int))
         return Turns(self.workcell, options)
 
-    def _first_of(self, ranked: Sequence[Option], direct: bool, view: View, indices: Indices) -> list[Candidate]:
-        """Candidates of the options, among some grasps and the free arms: as they are, or as what inserts after regrasps."""
+    def _first_of(
+        self, ranked: Sequence[Option], direct: bool, view: View, indices: Indices
+    ) -> list[Candidate]:
+        """Candidates of the options, among some grasps and the free arms: as they are, or as what inserts
+        after regrasps."""
         chosen = set(indices.tolist())
         serving = [o for o in ranked if o.grip.index in chosen and o.inserter in view.free]
-        return _distinct(Candidate(o.inserter, o.grip) for o in serving if not direct or o.fetcher == o.inserter)
+        return _distinct(
+            Candidate(o.inserter, o.grip) for o in serving if not direct or o.fetcher == o.inserter
+        )
 
     def _arms(self, view: View, ranked: Sequence[Option], fetching: bool = True) -> list[int]:
         """Free arms, the one first that is to fetch the piece of a step, or to insert it."""
         wished = [o.fetcher if fetching else o.inserter for o in ranked]
         return sorted(view.free, key=lambda arm: wished.index(arm) if arm in wished else len(wished))
 
-    def _direct(self, k: int, state: State, view: View, width: int, ranked: Sequence[Option]) -> Iterator[Candidate]:
-        """Grasps that serve where the piece is and at the goal, with arms: the options, then of every direction one."""
+    def _direct(
+        self, k: int, state: State, view: View, width: int, ranked: Sequence[Option]
+    ) -> Iterator[Candidate]:
+        """Grasps that serve where the piece is and at the goal, with arms: the options, then of every
+        direction one."""
         if view.carrying is not None:
             yield from self._carried_candidate(k, view)
             return
@@ -218,7 +256,9 @@ class Search:
         indices = indices[clear]
         cost = self.finder.awkwardness(view, indices)
         arms = self._arms(view, ranked)
-        groups: dict[tuple[float, ...], list[Candidate]] = {}  # by arm and direction of the hand: each may fail as a whole
+        groups: dict[
+            tuple[float, ...], list[Candidate]
+        ] = {}  # by arm and direction of the hand: each may fail as a whole
         indices = indices[np.argsort(np.round(cost, 9), kind="stable")]
         for g, direction in zip(indices.tolist(), bearings(graph.poses[indices]), strict=True):
             for arm in arms:
@@ -244,9 +284,11 @@ class Search:
         else:
             self.tracer.reject(view.piece, "it sits in the hand as no grasp for the goal has it")
 
-    # --- one step ------------------------------------------------------------------------------------------------------
+    # --- one step -------------------------------------------------------------------------------------------
 
-    def _directly(self, k: int, state: State, view: View, candidate: Candidate) -> Iterator[tuple[Assignment, State]]:
+    def _directly(
+        self, k: int, state: State, view: View, candidate: Candidate
+    ) -> Iterator[tuple[Assignment, State]]:
         """The step without regrasps."""
         if (k, candidate.arm, candidate.grip.index) in self.excluded:
             return
@@ -258,7 +300,8 @@ class Search:
     def _placings(
         self, k: int, state: State, count: int, ranked: Sequence[Option], known: set[tuple[float, ...]]
     ) -> list[Placing]:
-        """Ways to put the piece in its place, whatever brings it: the options, then the best contact of every direction.
+        """Ways to put the piece in its place, whatever brings it: the options, then the best contact of every
+        direction.
 
         Args:
             known: what `_bearing` gives for arms and hands that are left out.
@@ -274,7 +317,9 @@ class Search:
         first = self._first_of(ranked, False, view, indices)
         wanted = (c for c in itertools.chain(first, candidates) if _bearing(c) not in known)
         for candidate in _distinct(wanted)[: LOOKED_AT * count]:
-            if (k, candidate.arm, candidate.grip.index) in self.excluded or not self.placer.lines_in(k, candidate):
+            if (k, candidate.arm, candidate.grip.index) in self.excluded or not self.placer.lines_in(
+                k, candidate
+            ):
                 continue
             placing = self.placer.placing(k, state, candidate)
             if placing is not None:
@@ -283,24 +328,45 @@ class Search:
                     break
         return found
 
-    def _assignment(self, k: int, view: View, placing: Placing, regrasps: tuple[Regrasp, ...], pick: Pick | None) -> Assignment:
+    def _assignment(
+        self, k: int, view: View, placing: Placing, regrasps: tuple[Regrasp, ...], pick: Pick | None
+    ) -> Assignment:
         step, candidate = self.plan.steps[k], placing.candidate
         if pick is not None:
             opened, q_before, q_pick, q_lifted = pick.opened, pick.q_before, pick.q_pick, pick.q_lifted
         elif regrasps and isinstance(regrasps[-1], HandOver):
-            opened, q_before, q_pick, q_lifted = np.nan, regrasps[-1].q_before, regrasps[-1].q_take, regrasps[-1].q_take
+            opened, q_before, q_pick, q_lifted = (
+                np.nan,
+                regrasps[-1].q_before,
+                regrasps[-1].q_take,
+                regrasps[-1].q_take,
+            )
         else:
             assert self.start is not None
             opened, q_before = np.nan, readonly(self.start.hands.qs[candidate.arm])
             q_pick = q_lifted = q_before
         return Assignment(
-            step=k, piece=step.piece, arm=candidate.arm, grasp=candidate.grip.index, width=candidate.grip.width,
-            opened=opened, regrasps=regrasps, in_hand=pick is None, q_before=q_before, q_pick=q_pick, q_lifted=q_lifted,
-            q_ready=readonly(placing.q_ready), q_goal=readonly(placing.q_goal), direction=readonly(step.direction),
-            length=step.way + RUN_IN, guarded=self.placer.guarded(k),
+            step=k,
+            piece=step.piece,
+            arm=candidate.arm,
+            grasp=candidate.grip.index,
+            width=candidate.grip.width,
+            opened=opened,
+            regrasps=regrasps,
+            in_hand=pick is None,
+            q_before=q_before,
+            q_pick=q_pick,
+            q_lifted=q_lifted,
+            q_ready=readonly(placing.q_ready),
+            q_goal=readonly(placing.q_goal),
+            direction=readonly(step.direction),
+            length=step.way + RUN_IN,
+            guarded=self.placer.guarded(k),
             holds={name: arm for arm, name in placing.after.hands.gripped.items()},
-            takes=placing.takes, releases=placing.releases, certificate=placing.certificate,
-        )  # fmt: skip
+            takes=placing.takes,
+            releases=placing.releases,
+            certificate=placing.certificate,
+        )
 
 
 def _bearing(candidate: Candidate) -> tuple[float, ...]:

@@ -1,8 +1,8 @@
-"""The program as a value: segments, each a timed trajectory or a hand command, and what the cell looks like around each.
+"""The program as a value: segments, each a timed trajectory or a hand command, and what the cell looks like
+around each.
 
-Where pieces and hands are before and after a segment follows from the segments alone: `entering` and `leaving` are the only
-places that say what a segment changes.
-"""
+Where pieces and hands are before and after a segment follows from the segments alone: `entering` and
+`leaving` are the only places that say what a segment changes."""
 
 from __future__ import annotations
 
@@ -19,12 +19,26 @@ from soma_bullet.task.feed import Feed
 from soma_bullet.task.workcell import TABLE, Hands, Workcell
 
 Kind = Literal[
-    "transit", "approach", "grasp", "lift", "transfer", "insert", "place", "lower", "set_down", "settle", "release", "retreat",
-    "home", "back_off", "follow",
-]  # fmt: skip
+    "transit",
+    "approach",
+    "grasp",
+    "lift",
+    "transfer",
+    "insert",
+    "place",
+    "lower",
+    "set_down",
+    "settle",
+    "release",
+    "retreat",
+    "home",
+    "back_off",
+    "follow",
+]
 
 DT = 1 / 480  # [s] between samples of a trajectory: the simulator's step
-PLACE = 0.010  # [m] at the end of an insertion that are slowest; they are guarded, as is more where neighbours come near
+# [m] at the end of an insertion that are slowest; they are guarded, as is more where neighbours come near
+PLACE = 0.010
 GUARD = 1.0  # [N] change of the wrist's force that ends a placing
 BEYOND = 1.5e-3  # [m] that a guarded line goes on beyond its end until it meets what carries the piece
 SETTLE = 0.2  # [s] after a placing
@@ -57,9 +71,10 @@ class Segment:
     """One thing that one arm does.
 
     Attributes:
-        kind: what it is; `transit`, `transfer`, `home` go around obstacles; `grasp`, `settle`, `release` are waits; the rest
-            are straight lines of the hand. `place` ends at the goal, `set_down` on the table; both are guarded, and so is
-            `follow`: a hand that holds a piece in place comes down with it onto what another hand has just let go of.
+        kind: what it is; `transit`, `transfer`, `home` go around obstacles; `grasp`, `settle`, `release` are
+            waits; the rest are straight lines of the hand. `place` ends at the goal, `set_down` on the table;
+            both are guarded, and so is `follow`: a hand that holds a piece in place comes down with it onto
+            what another hand has just let go of.
         step: of the plan; arm: index; piece: what it is about.
         path: joints every DT (n, 6) [rad]; empty for waits.
         offset: straight travel of the hand (3,) [m] for lines, else zero.
@@ -67,10 +82,10 @@ class Segment:
         duration: [s] of waits.
         guard: change of the wrist's force [N] that ends the segment, 0 for none.
         width: distance between the pads [m] that is expected after a grasp, else NaN.
-        compliance: change of the joints for a small twist of the hand in world axes at the end of a guarded line (6, 6),
-            translation [rad/m] before rotation [rad/rad]; empty (0, 6) for the rest.
-        beyond: how far a guarded line may go on beyond its end until the piece meets what should stop it there [m]: a piece
-            that sits higher in the hand than planned is not let go in the air.
+        compliance: change of the joints for a small twist of the hand in world axes at the end of a guarded
+            line (6, 6), translation [rad/m] before rotation [rad/rad]; empty (0, 6) for the rest.
+        beyond: how far a guarded line may go on beyond its end until the piece meets what should stop it
+            there [m]: a piece that sits higher in the hand than planned is not let go in the air.
     """
 
     kind: Kind
@@ -118,9 +133,10 @@ class Program:
         T_world_assembly: (4, 4).
         stand: footprint of the stand [m].
         start: what it goes on from; None begins with all pieces in the feed.
-        alone: planned duration of the same work with one arm at a time [s], ways home left out or put off where that is free;
-            NaN where that was not asked.
-        in_turn: planned duration of the schedule as it was, one segment at a time [s]; NaN where that was not asked.
+        alone: planned duration of the same work with one arm at a time [s], ways home left out or put off
+            where that is free; NaN where that was not asked.
+        in_turn: planned duration of the schedule as it was, one segment at a time [s]; NaN where that was not
+            asked.
     """
 
     cell: str
@@ -152,7 +168,7 @@ def one_at_a_time(count: int) -> tuple[tuple[int, ...], ...]:
     return tuple((k - 1,) if k else () for k in range(count))
 
 
-# --- what the cell looks like ------------------------------------------------------------------------------------------
+# --- what the cell looks like -------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,12 +190,17 @@ class Context:
     touching: frozenset[frozenset[str]] = frozenset()
 
 
-def beginning(workcell: Workcell, feed: Feed, start: Start | None = None, order: Sequence[str] = ()) -> Context:
-    """All pieces in the feed, the arms at home with empty hands; or as found, the first pieces of the order in place."""
+def beginning(
+    workcell: Workcell, feed: Feed, start: Start | None = None, order: Sequence[str] = ()
+) -> Context:
+    """All pieces in the feed, the arms at home with empty hands; or as found, the first pieces of the order
+    in place."""
     if start is None:
         return Context({name: feed.pose(name) for name in feed.names}, workcell.idle())
     placed = frozenset(order[: start.step])
-    poses = {name: workcell.stands(name, pose) if name in placed else pose for name, pose in start.poses.items()}
+    poses = {
+        name: workcell.stands(name, pose) if name in placed else pose for name, pose in start.poses.items()
+    }
     hands, carried = start.hands, {}
     for one in start.carrying:
         hands, carried[one.arm] = hands.gripping(one.arm, one.piece), (one.piece, one.T_tcp_piece)
@@ -187,7 +208,8 @@ def beginning(workcell: Workcell, feed: Feed, start: Start | None = None, order:
 
 
 def entering(workcell: Workcell, context: Context, kind: Kind, arm: int, piece: str) -> Context:
-    """The context as a segment takes it: a hand near its piece has it between the fingers, what is meant to touch may."""
+    """The context as a segment takes it: a hand near its piece has it between the fingers, what is meant to
+    touch may."""
     near = kind in ("approach", "release", "retreat")
     hands = context.hands.gripping(arm, piece) if near else context.hands
     touching: frozenset[frozenset[str]] = frozenset()

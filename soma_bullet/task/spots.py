@@ -1,4 +1,5 @@
-"""Where pieces may be put down, and where two hands may meet: small fixed sets, the most comfortable first."""
+"""Where pieces may be put down, and where two hands may meet: small fixed sets, the most comfortable
+first."""
 
 from __future__ import annotations
 
@@ -22,7 +23,8 @@ SIDES, HEIGHTS = (0.30, 0.18), (0.24, 0.34)  # [m] of a meeting: from the stand,
 
 
 def comfort(robot: Robot, arm: int, Ts_world_tcp: Array) -> Array:
-    """How awkward an arm has its hand at poses (..., 4, 4): about the angle [rad] from reaching down and outwards."""
+    """How awkward an arm has its hand at poses (..., 4, 4): about the angle [rad] from reaching down and
+    outwards."""
     offset = Ts_world_tcp[..., :3, 3] - robot.arm(arm).T_world_base[:3, 3]
     flat = offset * np.array((1.0, 1.0, 0.0))
     outward = flat / np.maximum(np.linalg.norm(flat, axis=-1, keepdims=True), 1e-9)
@@ -34,7 +36,8 @@ def comfort(robot: Robot, arm: int, Ts_world_tcp: Array) -> Array:
 
 
 def bearings(poses: Array) -> list[tuple[float, ...]]:
-    """Of hands at poses (n, 4, 4) the directions of approach and of closing, coarsely: hands that may fail alike are alike."""
+    """Of hands at poses (n, 4, 4) the directions of approach and of closing, coarsely: hands that may fail
+    alike are alike."""
     return [tuple(row) for row in np.round(4.0 * poses[:, :3, [2, 0]]).reshape(-1, 6).tolist()]
 
 
@@ -48,14 +51,21 @@ def spread(poses: Array, indices: Indices, cost: Array) -> list[int]:
     return [group[k] for k in range(longest) for group in groups.values() if k < len(group)]
 
 
-def free_places(workcell: Workcell, piece: Workpiece, rest: Array, source: Array, others: Mapping[str, Array]) -> Array:
-    """T_world_piece (m, 4, 4) of a resting pose (4, 4) at free places of the feed areas and where the piece is, at all yaws."""
+def free_places(
+    workcell: Workcell, piece: Workpiece, rest: Array, source: Array, others: Mapping[str, Array]
+) -> Array:
+    """T_world_piece (m, 4, 4) of a resting pose (4, 4) at free places of the feed areas and where the piece
+    is, at all yaws."""
     places = [apply(source, piece.center_of_mass)[:2]]
     for area in workcell.cell.feed_areas:
-        columns, rows = (low + (np.arange(n) + 0.5) / n * (high - low) for n, (low, high) in zip(GRID, area, strict=True))
+        columns, rows = (
+            low + (np.arange(n) + 0.5) / n * (high - low) for n, (low, high) in zip(GRID, area, strict=True)
+        )
         places += [np.array(place) for place in product(columns, rows)]
     assembly = workcell.assembly
-    obstacles = [_outline(assembly.pieces[assembly.index(name)], pose) for name, pose in sorted(others.items())]
+    obstacles = [
+        _outline(assembly.pieces[assembly.index(name)], pose) for name, pose in sorted(others.items())
+    ]
     half = np.array(workcell.robot.stand_size) / 2
     obstacles.append(shapely.box(*(workcell.cell.stand_centre - half), *(workcell.cell.stand_centre + half)))
     areas = [shapely.box(*area[:, 0], *area[:, 1]) for area in workcell.cell.feed_areas]
@@ -77,7 +87,11 @@ def _outline(piece: Workpiece, pose: Array) -> shapely.Geometry:
 
 def _turns() -> Array:
     """The 24 turns of a cube, and those turned by 45 deg about z (48, 3, 3)."""
-    signed = [np.diag(s) @ np.eye(3)[list(p)] for p in permutations(range(3)) for s in product((1.0, -1.0), repeat=3)]
+    signed = [
+        np.diag(s) @ np.eye(3)[list(p)]
+        for p in permutations(range(3))
+        for s in product((1.0, -1.0), repeat=3)
+    ]
     turns = np.array([turn for turn in signed if np.linalg.det(turn) > 0])
     return np.vstack([turns, rotation_about((0, 0, 1), np.pi / 4) @ turns])
 
@@ -85,8 +99,11 @@ def _turns() -> Array:
 TURNS = _turns()
 
 
-def meeting_poses(robot: Robot, arms: Sequence[int], grasps: Sequence[Array], source: Array, com: Array) -> Array:
-    """T_world_piece (m, 4, 4) at which two hands can meet with their grasps T_piece_tcp (4, 4), most comfortable first.
+def meeting_poses(
+    robot: Robot, arms: Sequence[int], grasps: Sequence[Array], source: Array, com: Array
+) -> Array:
+    """T_world_piece (m, 4, 4) at which two hands can meet with their grasps T_piece_tcp (4, 4), most
+    comfortable first.
 
     Args:
         source: where the piece comes from (3,) [m]; its side of the table is preferred.

@@ -1,9 +1,9 @@
 """Squaring: which grasps, closed on a piece as it lies on the table, make its place exact by contact alone.
 
-A hand that closes centres what it grips along its closing axis and turns it true, but leaves it where it is along the pads. Two
-level closings across each other make place and yaw exact: one before the pick, or two where the pick itself closes upwards
-(sensorless alignment by squeezing: K. Goldberg, "Orienting polygonal parts without sensors", Algorithmica 1993).
-"""
+A hand that closes centres what it grips along its closing axis and turns it true, but leaves it where it is
+along the pads. Two level closings across each other make place and yaw exact: one before the pick, or two
+where the pick itself closes upwards (sensorless alignment by squeezing: K. Goldberg, "Orienting polygonal
+parts without sensors", Algorithmica 1993)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,10 @@ TILTED = 0.5  # as bad as no contact at all, for each radian that the hand is of
 TRIED = 12
 CIRCLE = np.deg2rad(np.arange(0.0, 180.0, 15.0))  # [rad] closing axes that are looked at where none is known
 TILTS = tuple(np.deg2rad((0.0, 30.0, -30.0, 50.0, -50.0)))  # [rad] of a squeezing hand about its closing axis
-FLAT, SMALLEST_LINE = 1e-4, 5e-3  # [m] corners that are farther out by less are as far out; shortest line along a pad
+FLAT, SMALLEST_LINE = (
+    1e-4,
+    5e-3,
+)  # [m] corners that are farther out by less are as far out; shortest line along a pad
 
 
 def level_axes(closing: Array) -> list[Array]:
@@ -38,15 +41,16 @@ def level_axes(closing: Array) -> list[Array]:
 def squaring_grips(graph: GraspGraph, clear: Mask, T_world_piece: Array, known: list[Array]) -> list[Grip]:
     """Clear grasps (mask of n) that centre a piece on the table across the known axes, best first.
 
-    The hand should reach down, with the pads well on the faces and the line of closing near the centre of mass, so that the
-    piece is not turned on the way.
-    """
+    The hand should reach down, with the pads well on the faces and the line of closing near the centre of
+    mass, so that the piece is not turned on the way."""
     tcp = T_world_piece @ graph.poses
     closing = tcp[:, :3, 0]
     fit = clear & (np.abs(closing[:, 2]) < ACROSS)
     for axis in known:
         fit &= np.abs(closing @ axis) < ACROSS
-    aside = np.linalg.norm(np.cross(closing, apply(T_world_piece, graph.piece.center_of_mass) - tcp[:, :3, 3]), axis=1)
+    aside = np.linalg.norm(
+        np.cross(closing, apply(T_world_piece, graph.piece.center_of_mass) - tcp[:, :3, 3]), axis=1
+    )
     tilt = np.arccos(np.clip(-tcp[:, 2, 2], -1.0, 1.0))
     indices = np.flatnonzero(fit)
     cost = (aside / ASIDE + TILTED * tilt - graph.contact)[indices]
@@ -54,11 +58,16 @@ def squaring_grips(graph: GraspGraph, clear: Mask, T_world_piece: Array, known: 
 
 
 def squeezing_grips(piece: Workpiece, hand: Hand, T_world_piece: Array, known: list[Array]) -> list[Grip]:
-    """Hands that squeeze a piece on the table between its outermost faces or edges across the known axes, best first.
+    """Hands that squeeze a piece on the table between its outermost faces or edges across the known axes,
+    best first.
 
-    They need no parallel faces, since nothing is lifted: outermost lines along the pads on both sides will do.
-    """
-    axes = [np.cross((0.0, 0.0, 1.0), known[0])] if known else [np.array((np.cos(a), np.sin(a), 0.0)) for a in CIRCLE]
+    They need no parallel faces, since nothing is lifted: outermost lines along the pads on both sides will
+    do."""
+    axes = (
+        [np.cross((0.0, 0.0, 1.0), known[0])]
+        if known
+        else [np.array((np.cos(a), np.sin(a), 0.0)) for a in CIRCLE]
+    )
     corners = apply(T_world_piece, piece.vertices)
     found: list[tuple[float, int, Grip]] = []
     com = apply(T_world_piece, piece.center_of_mass)
@@ -69,7 +78,10 @@ def squeezing_grips(piece: Workpiece, hand: Hand, T_world_piece: Array, known: l
         sides = [corners[across < across.min() + FLAT], corners[across > across.max() - FLAT]]
         low = max(float((side @ along).min()) for side in sides)
         high = min(float((side @ along).max()) for side in sides)
-        bottom, top = max(float(side[:, 2].min()) for side in sides), min(float(side[:, 2].max()) for side in sides)
+        bottom, top = (
+            max(float(side[:, 2].min()) for side in sides),
+            min(float(side[:, 2].max()) for side in sides),
+        )
         width = float(np.ptp(across))
         if high - low < SMALLEST_LINE or width > hand.opening or bottom - top > hand.pad_size[1] / 2:
             continue
@@ -77,12 +89,16 @@ def squeezing_grips(piece: Workpiece, hand: Hand, T_world_piece: Array, known: l
         for tilt, back in product(TILTS, (1.0, -1.0)):
             approach = np.cos(tilt) * np.array((0.0, 0.0, -1.0)) + np.sin(tilt) * along
             rotation = np.column_stack([back * axis, np.cross(approach, back * axis), approach])
-            reach = float(np.abs(rotation[2, 1:]) @ hand.pad_size) / 2 + SUPPORT_MARGIN + FLAT  # of a pad below its middle
+            reach = (
+                float(np.abs(rotation[2, 1:]) @ hand.pad_size) / 2 + SUPPORT_MARGIN + FLAT
+            )  # of a pad below its middle
             height = max(reach, (bottom + top) / 2)
             centre = axis * (across.min() + across.max()) / 2 + along * place + np.array((0.0, 0.0, height))
             T = inverse(T_world_piece) @ make_transform(rotation, centre)
             aside = abs(place - float(com @ along))
-            found.append((round(aside / ASIDE + TILTED * abs(tilt), 9), len(found), Grip(-1, readonly(T), width, 1.0)))
+            found.append(
+                (round(aside / ASIDE + TILTED * abs(tilt), 9), len(found), Grip(-1, readonly(T), width, 1.0))
+            )
     found.sort(key=lambda item: item[:2])
     return [grip for _, _, grip in found]
 

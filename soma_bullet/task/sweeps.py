@@ -1,9 +1,8 @@
 """One arm along one segment, and whether two arms come too near to each other anywhere on their paths.
 
-Bisection over both paths at once shows it: two shapes are free of each other in a cell where their distance at its middle
-exceeds what their points can move within it (conservative advancement: B. Mirtich, 1996); those that are not are looked at
-again in its halves.
-"""
+Bisection over both paths at once shows it: two shapes are free of each other in a cell where their distance
+at its middle exceeds what their points can move within it (conservative advancement: B. Mirtich, 1996); those
+that are not are looked at again in its halves."""
 
 from __future__ import annotations
 
@@ -37,7 +36,9 @@ class Sweep:
         path = segment.path if len(segment.path) else before.hands.qs[segment.arm][None]
         first = float(before.hands.openings[segment.arm])
         last = first if np.isnan(segment.opening) else segment.opening
-        silhouette = Silhouette(workcell.collision, segment.arm, max(first, last), before.carried.get(segment.arm))
+        silhouette = Silhouette(
+            workcell.collision, segment.arm, max(first, last), before.carried.get(segment.arm)
+        )
         return cls(silhouette, path, abs(last - first) / 2)
 
     @classmethod
@@ -101,7 +102,9 @@ def meet(first: Sweep, second: Sweep) -> bool:
             elif between <= slack or needed[cell, i, j] - slack < SMALLEST:
                 return True
         left = doubted.any(axis=(1, 2))
-        farthest = [np.where(doubted.any(axis=3 - side), r, 0.0).max(axis=1) for side, r in enumerate(reaches, 1)]
+        farthest = [
+            np.where(doubted.any(axis=3 - side), r, 0.0).max(axis=1) for side, r in enumerate(reaches, 1)
+        ]
         halves, which = _halves(taken[left], middles[left], farthest[0][left] >= farthest[1][left])
         cells, pairs = np.vstack([cells, halves]), np.concatenate([pairs, doubted[left][which]])
     return False
@@ -116,7 +119,8 @@ class Encounters:
         self._met: dict[tuple[Sweep, Sweep], bool] = {}
 
     def sweep(self, before: Context, segment: Segment) -> Sweep:
-        """What `Sweep.of` gives: of the context only what belongs to the arm itself counts, which no order changes."""
+        """What `Sweep.of` gives: of the context only what belongs to the arm itself counts, which no order
+        changes."""
         if segment not in self._sweeps:
             self._sweeps[segment] = Sweep.of(self.workcell, before, segment)
         return self._sweeps[segment]
@@ -130,7 +134,8 @@ class Encounters:
 
 
 def gap(first: Sweep, second: Sweep, enough: float) -> float:
-    """Least room [m] between two arms, SAMPLED along their paths, whatever their timing; or a bound on it above `enough`.
+    """Least room [m] between two arms, SAMPLED along their paths, whatever their timing; or a bound on it
+    above `enough`.
 
     That is their distance, and that of an arm's link less what links keep more than hands.
     """
@@ -139,13 +144,15 @@ def gap(first: Sweep, second: Sweep, enough: float) -> float:
 
 
 def _reach(arcs: Array, ends: Array, middles: Array) -> Array:
-    """How far (k, m) [m] any point of m shapes gets from where it is at the middles (k,) of stretches (k, 2) of a path."""
+    """How far (k, m) [m] any point of m shapes gets from where it is at the middles (k,) of stretches (k, 2)
+    of a path."""
     reach: Array = np.maximum(arcs[middles] - arcs[ends[:, 0]], arcs[ends[:, 1]] - arcs[middles])
     return reach
 
 
 def _halves(cells: Array, middles: Array, first: Array) -> tuple[Array, Array]:
-    """Both halves of cells (k, 4), divided along the first path or along the second, and of which cell each is."""
+    """Both halves of cells (k, 4), divided along the first path or along the second, and of which cell each
+    is."""
     low, high = cells.copy(), cells.copy()
     at = np.where(first, 0, 2)
     rows = np.arange(len(cells))

@@ -1,4 +1,5 @@
-"""Straight lines of a hand in the scenes of a schedule's search; whatever is rejected is counted under its reason."""
+"""Straight lines of a hand in the scenes of a schedule's search; whatever is rejected is counted under its
+reason."""
 
 from __future__ import annotations
 
@@ -24,7 +25,8 @@ class TooManyLines(Exception):
 
 @dataclass
 class Effort:
-    """What the searches of one schedule have done together: lines made or checked so far, and how many there may be at most."""
+    """What the searches of one schedule have done together: lines made or checked so far, and how many there
+    may be at most."""
 
     lines: int = 0
     most: int = 10**9
@@ -85,9 +87,15 @@ class Tracer:
         self.rejections[f"{piece}: {reason}"] += count
 
     def scene(
-        self, key: tuple[object, ...], poses: Mapping[str, Array], hands: Hands, arm: int,
-        carried: tuple[str, Array] | None = None, touching: frozenset[frozenset[str]] = frozenset(), alone: bool = False,
-    ) -> Scene:  # fmt: skip
+        self,
+        key: tuple[object, ...],
+        poses: Mapping[str, Array],
+        hands: Hands,
+        arm: int,
+        carried: tuple[str, Array] | None = None,
+        touching: frozenset[frozenset[str]] = frozenset(),
+        alone: bool = False,
+    ) -> Scene:
         """A scene, or the one made for the same key with the piece put differently into the hand.
 
         The key stands for the poses and the touching pairs.
@@ -101,7 +109,8 @@ class Tracer:
         return self._scenes[key]
 
     def line(self, name: str, m: Mover, q: Array, T: Array, away: Array, length: float) -> Array | None:
-        """Joints (n, 6) of a free line from q at T, along the unit vector `away` (3,) for `length` [m]; None where none is."""
+        """Joints (n, 6) of a free line from q at T, along the unit vector `away` (3,) for `length` [m]; None
+        where none is."""
         if self.lines >= self.most_lines or self.effort.spent:
             raise TooManyLines
         self.lines += 1

@@ -1,10 +1,11 @@
-"""Whose turn it is: arms and grasps of all steps chosen together, so that one arm can fetch while the other inserts.
+"""Whose turn it is: arms and grasps of all steps chosen together, so that one arm can fetch while the other
+inserts.
 
-Each step has a few options: which arm fetches, which inserts, by which grasp. What one costs depends on the one before it: the
-fetching is hidden behind the insertion before it only if another arm does it, and if the two arms keep clear of each other
-meanwhile. The cheapest sequence is found backwards, step by step (dynamic programming), and every option is worth what can
-follow it: where the best one turns out to be impossible, the next best takes its place.
-"""
+Each step has a few options: which arm fetches, which inserts, by which grasp. What one costs depends on the
+one before it: the fetching is hidden behind the insertion before it only if another arm does it, and if the
+two arms keep clear of each other meanwhile. The cheapest sequence is found backwards, step by step (dynamic
+programming), and every option is worth what can follow it: where the best one turns out to be impossible, the
+next best takes its place."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ class Option:
         fetcher, inserter: the arms that fetch and insert the piece.
         grip: by which it is inserted.
         cost: of itself [s], whatever comes before it.
-        fetching: joints (n, 6) of the fetcher at what it fetches; inserting: joints (m, 6) of the inserter at the goal.
+        fetching: joints (n, 6) of the fetcher at what it fetches; inserting: joints (m, 6) of the inserter at
+            the goal.
     """
 
     fetcher: int
@@ -56,7 +58,9 @@ class Turns:
 
     def _total(self, k: int, previous: Option | None, option: Option) -> float:
         if option not in self._following:
-            self._following[option] = min((self._total(k + 1, option, o) for o in self.options.get(k + 1, ())), default=0.0)
+            self._following[option] = min(
+                (self._total(k + 1, option, o) for o in self.options.get(k + 1, ())), default=0.0
+            )
         return round(self.unhidden(previous, option) + option.cost + self._following[option], 9)
 
     def unhidden(self, previous: Option | None, option: Option) -> float:
@@ -76,7 +80,9 @@ class Turns:
     def _shapes(self, option: Option, fetching: bool) -> list[Placed]:
         known = option, fetching
         if known not in self._placed:
-            arm, joints = (option.fetcher, option.fetching) if fetching else (option.inserter, option.inserting)
+            arm, joints = (
+                (option.fetcher, option.fetching) if fetching else (option.inserter, option.inserting)
+            )
             track = Silhouette(self.workcell.collision, arm, option.grip.width).along(joints)
             self._placed[known] = [track.at(k) for k in range(len(joints))]
         return self._placed[known]

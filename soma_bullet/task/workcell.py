@@ -19,7 +19,10 @@ from soma_bullet.robot.model import Cell
 SMALLEST_STAND = 0.03  # [m]
 STAND_RIM = 0.005  # [m] of stand around the footprint
 STAND, TABLE = "stand", "table"
-OFF, TURNED = 2e-3, np.deg2rad(2.0)  # [m], [rad] a piece in place that is off by less counts as where it should be
+OFF, TURNED = (
+    2e-3,
+    np.deg2rad(2.0),
+)  # [m], [rad] a piece in place that is off by less counts as where it should be
 HEAD_ON = 0.5  # cosine between a direction and what stops a motion along it
 
 
@@ -37,10 +40,13 @@ def stand_size(assembly: Assembly) -> tuple[float, float]:
 
 
 def assembly_frame(assembly: Assembly, cell: Cell) -> Array:
-    """T_world_assembly (4, 4): the middle of the footprint on the middle of the stand's top, axes parallel to the world's."""
+    """T_world_assembly (4, 4): the middle of the footprint on the middle of the stand's top, axes parallel to
+    the world's."""
     low, high = footprint(assembly)
     middle = (low + high) / 2
-    return make_transform(translation=(*(cell.stand_centre - middle), cell.stand_height - assembly.support.height))
+    return make_transform(
+        translation=(*(cell.stand_centre - middle), cell.stand_height - assembly.support.height)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,15 +90,21 @@ class Workcell:
         clashes = sorted(set(assembly.names) & {frame.name for frame in self.robot.model.frames})
         if clashes:
             raise InputError(
-                assembly.name, [f"piece {name!r} is called like a part of the cell {cell.name}" for name in clashes]
+                assembly.name,
+                [f"piece {name!r} is called like a part of the cell {cell.name}" for name in clashes],
             )
-        self.collision = CollisionModel(self.robot, {piece.name: piece.body_parts for piece in assembly.pieces})
+        self.collision = CollisionModel(
+            self.robot, {piece.name: piece.body_parts for piece in assembly.pieces}
+        )
         self.T_world_assembly = readonly(assembly_frame(assembly, cell))
 
     @cached_property
     def goals(self) -> dict[str, Array]:
         """Nominal T_world_piece of every piece."""
-        return {name: self.T_world_assembly @ goal for name, goal in zip(self.assembly.names, self.assembly.goals, strict=True)}
+        return {
+            name: self.T_world_assembly @ goal
+            for name, goal in zip(self.assembly.names, self.assembly.goals, strict=True)
+        }
 
     @cached_property
     def settled(self) -> dict[str, Array]:
@@ -105,7 +117,8 @@ class Workcell:
         return lowered
 
     def stands(self, piece: str, pose: Array) -> Array:
-        """T_world_piece (4, 4) of a piece in place for what comes after it: where it should be, unless it was found far off."""
+        """T_world_piece (4, 4) of a piece in place for what comes after it: where it should be, unless it was
+        found far off."""
         settled = self.settled[piece]
         off = float(np.linalg.norm(pose[:3, 3] - settled[:3, 3]))
         return settled if off < OFF and rotation_angle(pose[:3, :3], settled[:3, :3]) < TURNED else pose
@@ -117,7 +130,8 @@ class Workcell:
         return frozenset(frozenset(name(k) for k in pair) for pair in self.assembly.meeting)
 
     def stopped(self, piece: str, direction: Array, placed: Collection[str]) -> bool:
-        """Whether a piece that comes to its goal along a unit vector (3,) meets a placed piece, or the stand, head on there."""
+        """Whether a piece that comes to its goal along a unit vector (3,) meets a placed piece, or the stand,
+        head on there."""
         index, along = self.assembly.index(piece), self.T_world_assembly[:3, :3].T @ direction
         there = {SUPPORT, *(self.assembly.index(name) for name in placed)}
         contacts = [c.into(index) for c in self.assembly.contacts if index in (c.body_a, c.body_b)]
@@ -125,7 +139,11 @@ class Workcell:
 
     def carries(self, lower: str, upper: str) -> bool:
         """Whether in the finished assembly a piece stands on another."""
-        below, above, up = self.assembly.index(lower), self.assembly.index(upper), self.T_world_assembly[2, :3]
+        below, above, up = (
+            self.assembly.index(lower),
+            self.assembly.index(upper),
+            self.T_world_assembly[2, :3],
+        )
         contacts = [c.into(above) for c in self.assembly.contacts if {c.body_a, c.body_b} == {below, above}]
         return any(float(c.normal @ up) > HEAD_ON for c in contacts)
 
@@ -142,11 +160,14 @@ class Workcell:
         touching: frozenset[frozenset[str]] = frozenset(),
         alone: bool = False,
     ) -> Scene:
-        """A scene: one arm moves, maybe carrying (piece, T_tcp_piece); the others stand still or (`alone`) are left out."""
+        """A scene: one arm moves, maybe carrying (piece, T_tcp_piece); the others stand still or (`alone`)
+        are left out."""
         still = {name: pose for name, pose in poses.items() if carried is None or name != carried[0]}
         held = {} if carried is None else {carried[0]: (arm, carried[1])}
         absent = frozenset(k for k in range(len(self.cell.arms)) if alone and k != arm)
-        gripped = {name: k for k, name in sorted(hands.gripped.items(), key=lambda item: item[0] == arm)}  # the mover's counts
+        gripped = {
+            name: k for k, name in sorted(hands.gripped.items(), key=lambda item: item[0] == arm)
+        }  # the mover's counts
         return self.collision.scene(Situation(still, frozenset({arm}), held, gripped, touching, absent))
 
     def configuration(self, hands: Hands, arm: int, q: Array, opening: float | None = None) -> Array:

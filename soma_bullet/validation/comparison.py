@@ -1,8 +1,7 @@
 """The planner's verdicts on stability beside those of others: contact physics, and compas-cra's rigid blocks.
 
-Every state is drawn, judged and simulated from (seed, draw) alone, so that a table does not depend on the number of workers
-and any single state can be examined again.
-"""
+Every state is drawn, judged and simulated from (seed, draw) alone, so that a table does not depend on the
+number of workers and any single state can be examined again."""
 
 from __future__ import annotations
 
@@ -14,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
+from soma_bullet.bullet.standing import stands
 from soma_bullet.planner.equilibrium import TIE, classify
 from soma_bullet.planner.qualities import PlannerOptions, Qualities
 from soma_bullet.records import write_json
 from soma_bullet.robot.cell import load_cell
 from soma_bullet.robot.model import Cell
-from soma_bullet.sim.standing import stands
 from soma_bullet.validation.rigid_blocks import (
     ALIKE,
     FITS,
@@ -36,7 +35,8 @@ CLEARANCES = (0.0, 1e-4)  # [m] of every piece
 QUOTA_CLEARANCE = CLEARANCES[-1]
 LARGEST_SHARE = 0.6  # of the states may fall, and as many may stand, at that clearance
 BAND = 0.01  # [g] within which two models of the same blocks may differ
-PULL = 1e-4  # [mean weights of a piece] at a contact in compas-cra: more is more than its tolerance, so the blocks fall
+# [mean weights of a piece] at a contact in compas-cra: more is more than its tolerance, so the blocks fall
+PULL = 1e-4
 
 
 @dataclass(frozen=True)
@@ -66,12 +66,12 @@ class Blocks:
 
     Attributes:
         margin: signed [g], see `signed_margin`.
-        pull: what compas-cra needs, in mean weights of a piece, with friction such that its cones, as ours, have the circle's
-            radius on average; the blocks stand below PULL.
+        pull: what compas-cra needs, in mean weights of a piece, with friction such that its cones, as ours,
+            have the circle's radius on average; the blocks stand below PULL.
         pull_as_is: the same with its own cones, which hold up to 8 % more than the circle.
         angle_deg: the weakest direction.
-        pull_below, pull_above: what compas-cra needs under an acceleration in that direction of BAND less, and BAND more,
-            than the margin. None, as the angle, where the margin does not exceed BAND.
+        pull_below, pull_above: what compas-cra needs under an acceleration in that direction of BAND less,
+            and BAND more, than the margin. None, as the angle, where the margin does not exceed BAND.
     """
 
     margin: float
@@ -98,8 +98,8 @@ class State:
 
     Attributes:
         draw: with the seed it gives the placements.
-        tie: with sides that do not rub it is within a hair (TIE) of the edge between standing and falling: the least change of
-            a length or a weight decides. The planner calls such a state unstable.
+        tie: with sides that do not rub it is within a hair (TIE) of the edge between standing and falling:
+            the least change of a length or a weight decides. The planner calls such a state unstable.
     """
 
     draw: int
@@ -111,7 +111,8 @@ class State:
 
 @dataclass(frozen=True)
 class Comparison:
-    """All states of one seed; `drawn` counts those too that were left out because enough of their kind were there."""
+    """All states of one seed; `drawn` counts those too that were left out because enough of their kind were
+    there."""
 
     seed: int
     drawn: int
@@ -121,8 +122,8 @@ class Comparison:
 def compare(count: int, seed: int, jobs: int, out: Path, done: Callable[[], None]) -> Comparison:
     """Examine `count` states, and write them to `out`/states.json.
 
-    States are taken in the order of their draws; one that falls is left out once 60 % of the states do, and so is one that
-    stands.
+    States are taken in the order of their draws; one that falls is left out once 60 % of the states do, and
+    so is one that stands.
 
     Args:
         done: is told whenever a state has been examined.
@@ -182,7 +183,8 @@ def _blocks(placements: tuple[Placement, ...]) -> Blocks:
     if margin <= BAND:
         return Blocks(margin, judge.pull(friction=ALIKE), judge.pull(), None, None, None)
     angle = weakest_direction(assembly, everything, "friction", margin)
-    # its cones have eight sides and ours twelve: below the margin they may hold no less than ours, above it no more
+    # its cones have eight sides and ours twelve: below the margin they may hold no less than ours, above it
+    # no more
     below, above = judge.pull(margin - BAND, angle, HOLDS), judge.pull(margin + BAND, angle, FITS)
     return Blocks(margin, judge.pull(friction=ALIKE), judge.pull(), float(np.rad2deg(angle)), below, above)
 
@@ -202,7 +204,7 @@ def _examine(task: tuple[int, int]) -> State:
     return examine(*task)
 
 
-# --- what it comes to ---------------------------------------------------------------------------------------------------
+# --- what it comes to ---------------------------------------------------------------------------------------
 
 
 def table(comparison: Comparison) -> str:
@@ -210,24 +212,39 @@ def table(comparison: Comparison) -> str:
     states = comparison.states
     sizes = sorted(len(state.placements) for state in states)
     lines = [
-        f"{len(states)} states of {sizes[0]} to {sizes[-1]} pieces from {comparison.drawn} draws of seed {comparison.seed}",
+        f"{len(states)} states of {sizes[0]} to {sizes[-1]} pieces from {comparison.drawn} draws of seed "
+        f"{comparison.seed}",
         "",
-        "| planner says | " + " | ".join(f"c = {t.clearance_mm:g} mm: stand | fall" for t in states[0].trials) + " |",
+        "| planner says | "
+        + " | ".join(f"c = {t.clearance_mm:g} mm: stand | fall" for t in states[0].trials)
+        + " |",
         "|-|" + "-|" * 2 * len(states[0].trials),
     ]
     for name, kind in KINDS.items():
-        cells = [str(len(_trials(states, k, kind, fell))) for k in range(len(CLEARANCES)) for fell in (False, True)]
+        cells = [
+            str(len(_trials(states, k, kind, fell))) for k in range(len(CLEARANCES)) for fell in (False, True)
+        ]
         lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    cells = [str(len(_trials(states, k, lambda s, t: True, fell))) for k in range(len(CLEARANCES)) for fell in (False, True)]
+    cells = [
+        str(len(_trials(states, k, lambda s, t: True, fell)))
+        for k in range(len(CLEARANCES))
+        for fell in (False, True)
+    ]
     lines += ["| all | " + " | ".join(cells) + " |", ""]
-    lines += ["| margin with full side friction [g] | compas-cra, cones alike: stand | fall | its own cones: stand | fall |"]
+    lines += [
+        "| margin with full side friction [g] | compas-cra, cones alike: stand | fall | its own cones: "
+        "stand | fall |"
+    ]
     lines += ["|-|-|-|-|-|"]
     for name, band in ((f"above {BAND:g}", 1), (f"within {BAND:g}", 0), (f"below -{BAND:g}", -1)):
         inside = [s.blocks for s in states if _band(s.blocks.margin) == band]
         counts = [sum(b.stand for b in inside), sum(b.stand_as_is for b in inside)]
         lines.append(f"| {name} | " + " | ".join(f"{n} | {len(inside) - n}" for n in counts) + " |")
     lines += ["", "| asked | measured | |", "|-|-|-|"]
-    lines += [f"| {c.asked} | {c.measured} | {'holds' if c.holds else 'does not hold'} |" for c in criteria(comparison)]
+    lines += [
+        f"| {c.asked} | {c.measured} | {'holds' if c.holds else 'does not hold'} |"
+        for c in criteria(comparison)
+    ]
     return "\n".join(lines) + "\n"
 
 
@@ -241,7 +258,8 @@ class Criterion:
 
 
 def criteria(comparison: Comparison) -> list[Criterion]:
-    """Whether the planner's verdicts are right, clearance by clearance, and its statics those of compas-cra."""
+    """Whether the planner's verdicts are right, clearance by clearance, and its statics those of
+    compas-cra."""
     states = comparison.states
     found = []
     for k, clearance in enumerate(CLEARANCES):
@@ -251,15 +269,23 @@ def criteria(comparison: Comparison) -> list[Criterion]:
         robust = [s for s in states if s.trials[k].verdict == "robust"]
         unstable = [s for s in states if s.trials[k].verdict == "unstable" and not s.tie]
         leaning = [s for s in states if s.trials[k].verdict == "clearance-dependent"]
-        found.append(_share(at + "robust states that fall", sum(s.trials[k].fell for s in robust), len(robust), 0.0, 0.0))
+        found.append(
+            _share(
+                at + "robust states that fall", sum(s.trials[k].fell for s in robust), len(robust), 0.0, 0.0
+            )
+        )
         standing = sum(not s.trials[k].fell for s in unstable)
-        found.append(_share(at + "unstable states beyond a tie that stand", standing, len(unstable), 0.0, 0.05))
+        found.append(
+            _share(at + "unstable states beyond a tie that stand", standing, len(unstable), 0.0, 0.05)
+        )
         found.append(_share(at + "clearance-dependent states", len(leaning), len(states), 0.0, 0.15))
     blocks = [s.blocks for s in states]
     clear = [b for b in blocks if _band(b.margin)]
     wrong = sum(b.stand != (b.margin > 0) for b in clear)
     found.append(_share(f"compas-cra, cones alike, disagrees beyond {BAND:g} g", wrong, len(clear), 0.0, 0.0))
-    found.append(_share(f"states with a margin within {BAND:g} g", len(blocks) - len(clear), len(blocks), 0.0, 0.05))
+    found.append(
+        _share(f"states with a margin within {BAND:g} g", len(blocks) - len(clear), len(blocks), 0.0, 0.05)
+    )
     pushed = [b for b in blocks if b.pull_below is not None and b.pull_above is not None]
     early = sum((b.pull_below or 0.0) >= PULL for b in pushed)
     late = sum((b.pull_above or 0.0) < PULL for b in pushed)
@@ -295,17 +321,23 @@ def _trials(states: tuple[State, ...], k: int, kind: Kind, fell: bool) -> list[T
 
 
 def disagreements(comparison: Comparison) -> Iterator[str]:
-    """One line for each state about which the planner and another judge differ; exact ties are nobody's error."""
+    """One line for each state about which the planner and another judge differ; exact ties are nobody's
+    error."""
     for state in comparison.states:
         blocks = state.blocks
         for trial in state.trials:
             if not state.tie and trial.fell == (trial.verdict != "unstable"):
                 yield (
-                    f"draw {state.draw}, c = {trial.clearance_mm:g} mm: {trial.verdict}, margin {trial.margin:.4f} g, "
-                    f"{'falls' if trial.fell else 'stands'}: {trial.moved_mm:.2f} mm, {trial.turned_deg:.1f} deg; "
+                    f"draw {state.draw}, c = {trial.clearance_mm:g} mm: {trial.verdict}, margin "
+                    f"{trial.margin:.4f} g, "
+                    f"{'falls' if trial.fell else 'stands'}: {trial.moved_mm:.2f} mm, "
+                    f"{trial.turned_deg:.1f} deg; "
                     f"margin {blocks.margin:.4f} g with full side friction"
                 )
-        rubbing = f"draw {state.draw}: margin {blocks.margin:.4f} g with full side friction, compas-cra needs a pull of"
+        rubbing = (
+            f"draw {state.draw}: margin {blocks.margin:.4f} g with full side friction, compas-cra needs a "
+            f"pull of"
+        )
         if _band(blocks.margin) and {blocks.stand, blocks.stand_as_is} != {blocks.margin > 0}:
             yield f"{rubbing} {blocks.pull:.2g} with cones alike, {blocks.pull_as_is:.2g} with its own"
         if blocks.pull_below is None or blocks.pull_above is None:

@@ -56,7 +56,8 @@ class CubePlan:
 
 @dataclass(frozen=True)
 class CubeTurns:
-    """In how many orientations one cube has an order that stands throughout by itself, along straight ways in.
+    """In how many orientations one cube has an order that stands throughout by itself, along straight ways
+    in.
 
     Attributes:
         number: of the cube.
@@ -76,12 +77,17 @@ class CubeTurns:
 def plan_cube(number: int) -> CubePlan:
     """Plan one of the 240 in the orientation that it is found in."""
 
-    cube, hand = soma_cube(number), _hand()  # pieces shared with the other cubes: their facets and parts are made once
+    cube, hand = (
+        soma_cube(number),
+        _hand(),
+    )  # pieces shared with the other cubes: their facets and parts are made once
     start, cpu = time.perf_counter(), time.process_time()
     try:
         plan = make_plan(cube, hand)
     except SomaBulletError as error:
-        return CubePlan(number, time.perf_counter() - start, time.process_time() - cpu, failure=_first_reasons(str(error)))
+        return CubePlan(
+            number, time.perf_counter() - start, time.process_time() - cpu, failure=_first_reasons(str(error))
+        )
     times = time.perf_counter() - start, time.process_time() - cpu
     holds = sum(len(step.holds) for step in plan.steps)
     free_orders = sum(row.feasible and row.stable_throughout for row in plan.orders)
@@ -103,7 +109,8 @@ def turn_cube(number: int, orientations: int, grasps: bool) -> CubeTurns:
 
 
 def stable_order(cube: Assembly, grasps: bool = False) -> tuple[int, ...] | None:
-    """Some order of a Soma cube along straight ways in, every state of which stands by itself; None if there is none.
+    """Some order of a Soma cube along straight ways in, every state of which stands by itself; None if there
+    is none.
 
     It is taken apart from the top, and placed sets that lead nowhere are remembered.
 
@@ -156,7 +163,9 @@ def survey_cubes(
     planned: list[CubePlan] = []
     turns: list[CubeTurns] = []
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        work: list[Any] = [pool.submit(turn_cube, k, orientations, grasps) for k in draw_soma_cubes(turned, seed)]
+        work: list[Any] = [
+            pool.submit(turn_cube, k, orientations, grasps) for k in draw_soma_cubes(turned, seed)
+        ]
         work += [pool.submit(plan_cube, k) for k in draw_soma_cubes(plans, seed)]
         for job in as_completed(work):
             found = job.result()
@@ -178,7 +187,9 @@ def cube_table(plans: Sequence[CubePlan], turns: Sequence[CubeTurns]) -> str:
             lines.append(f"| an order {what}: orientations | {sum(counts)} of {asked} |")
             every, some = sum(count == turns[0].asked for count in counts), sum(count > 0 for count in counts)
             lines.append(f"| ... cubes, in every orientation / in some | {every} / {some} |")
-        lines.append(f"| CPU time of an orientation, mean | {1e3 * sum(turn.cpu for turn in turns) / asked:.0f} ms |")
+        lines.append(
+            f"| CPU time of an orientation, mean | {1e3 * sum(turn.cpu for turn in turns) / asked:.0f} ms |"
+        )
     if plans:
         good = [plan for plan in plans if not plan.failure]
         lines += [
@@ -186,15 +197,26 @@ def cube_table(plans: Sequence[CubePlan], turns: Sequence[CubeTurns]) -> str:
             f"| planned / no plan | {len(good)} / {len(plans) - len(good)} |",
             f"| with an order without holds | {sum(plan.free_orders > 0 for plan in good)} |",
             f"| whose chosen order needs a hold | {sum(plan.holds > 0 for plan in good)} |",
-            f"| orders without holds, of 5,040: {QUANTILES} | {_quantiles([plan.free_orders for plan in good])} |",
+            f"| orders without holds, of 5,040: {QUANTILES} | "
+            f"{_quantiles([plan.free_orders for plan in good])} |",
             f"| score of the chosen order: {QUANTILES} | {_quantiles([plan.score for plan in good])} |",
         ]
-        for name, times in (("wall", [plan.seconds for plan in plans]), ("CPU", [plan.cpu for plan in plans])):
-            lines.append(f"| {name} time of a plan: median, p95 | {np.median(times):.2f} s, {np.percentile(times, 95):.2f} s |")
+        for name, times in (
+            ("wall", [plan.seconds for plan in plans]),
+            ("CPU", [plan.cpu for plan in plans]),
+        ):
+            lines.append(
+                f"| {name} time of a plan: median, p95 | {np.median(times):.2f} s, "
+                f"{np.percentile(times, 95):.2f} s |"
+            )
         failed = ", ".join(str(plan.number) for plan in plans if plan.failure)
         lines += [f"| no plan | {failed} |"] if failed else []
     return "\n".join(lines) + "\n"
 
 
 def _quantiles(values: Sequence[float]) -> str:
-    return ", ".join(f"{value:.3g}" for value in np.quantile(values, (0, 0.25, 0.5, 0.75, 1))) if values else "none"
+    return (
+        ", ".join(f"{value:.3g}" for value in np.quantile(values, (0, 0.25, 0.5, 0.75, 1)))
+        if values
+        else "none"
+    )

@@ -1,8 +1,9 @@
-"""Statics of rigid blocks twice: the planner's own model with its signed margin, and compas-cra as an independent judge.
+"""Statics of rigid blocks twice: the planner's own model with its signed margin, and compas-cra as an
+independent judge.
 
-compas-cra gets nothing but meshes, densities and the coefficient of friction: contacts, equilibrium matrix, friction cones
-(eight sides about the circle; ours have twelve of the mean radius) and solver (IPOPT) are its own. In its rigid-block
-equilibrium contacts may pull, at a high price: the blocks stand where none has to.
+compas-cra gets nothing but meshes, densities and the coefficient of friction: contacts, equilibrium matrix,
+friction cones (eight sides about the circle; ours have twelve of the mean radius) and solver (IPOPT) are its
+own. In its rigid-block equilibrium contacts may pull, at a high price: the blocks stand where none has to.
 
 Source: G. T. C. Kao et al., "Coupled rigid-block analysis", Computer-Aided Design 146 (2022), Eq. 6.
 """
@@ -32,8 +33,8 @@ from soma_bullet.planner.equilibrium import (
 FAN = 48  # directions of the polygon that stands for a circle of accelerations
 WIDE = 30.0  # [edges] half the width of the support; the unit is the shortest edge of a piece
 SAME = 1e-6  # [g]
-# factors on friction with which an octagon about the circle has the circle's radius on average, holds the polygon of PYRAMID
-# sides, and fits into it
+# factors on friction with which an octagon about the circle has the circle's radius on average, holds the
+# polygon of PYRAMID sides, and fits into it
 ALIKE = 2 / (1 + 1 / np.cos(np.pi / 8))
 HOLDS = 2 / (1 + np.cos(np.pi / PYRAMID))
 FITS = np.cos(np.pi / PYRAMID) * HOLDS * np.cos(np.pi / 8)
@@ -43,11 +44,11 @@ SMALLEST = 1e-4  # [edges2] of a contact
 
 
 def signed_margin(assembly: Assembly, placed: frozenset[int], sides: Sides) -> float:
-    """Distance [g] of the origin from the edge of the set of horizontal accelerations under which the placed pieces stand.
+    """Distance [g] of the origin from the edge of the set of horizontal accelerations under which the placed
+    pieces stand.
 
-    Positive inside: the margin of `equilibrium_margin`. Negative outside: the least acceleration that would make them stand;
-    -inf where none does.
-    """
+    Positive inside: the margin of `equilibrium_margin`. Negative outside: the least acceleration that would
+    make them stand; -inf where none does."""
     margin = equilibrium_margin(assembly, placed, frozenset(), sides)
     if margin > 0.0:
         return margin
@@ -56,7 +57,9 @@ def signed_margin(assembly: Assembly, placed: frozenset[int], sides: Sides) -> f
     angles = 2 * np.pi * np.arange(FAN) / FAN
     # unknowns: contact forces, the acceleration (x, y), and its size, which is to be least
     rows = np.column_stack([columns, push_x, push_y, np.zeros(len(load))])
-    fan = np.hstack([np.zeros((FAN, count)), np.cos(angles)[:, None], np.sin(angles)[:, None], -np.ones((FAN, 1))])
+    fan = np.hstack(
+        [np.zeros((FAN, count)), np.cos(angles)[:, None], np.sin(angles)[:, None], -np.ones((FAN, 1))]
+    )
     cost = np.concatenate([np.zeros(count + 2), [1.0]])
     bounds = [(0.0, None)] * count + [(None, None)] * 3
     found = linprog(cost, fan, np.zeros(FAN), rows, -load, bounds)
@@ -79,7 +82,8 @@ def weakest_direction(assembly: Assembly, placed: frozenset[int], sides: Sides, 
 
 
 def _balance(assembly: Assembly, placed: frozenset[int], sides: Sides) -> tuple[Array, Array, Array, Array]:
-    """Of all placed pieces, none of them held: wrenches of the contacts, of gravity, and of 1 g along x and along y."""
+    """Of all placed pieces, none of them held: wrenches of the contacts, of gravity, and of 1 g along x and
+    along y."""
     free = sorted(placed)
     contacts = active_contacts(assembly, placed, frozenset(), sides)
     columns = [contact_columns(contact, assembly, free, frozenset(), sides) for contact in contacts]
@@ -97,7 +101,9 @@ def require_compas_cra() -> None:
     try:
         import compas_cra.equilibrium  # noqa: F401
     except ImportError as error:
-        raise InputError("compas-cra", f"is needed for this comparison ({error}); install the extra `test`") from None
+        raise InputError(
+            "compas-cra", f"is needed for this comparison ({error}); install the extra `test`"
+        ) from None
 
 
 class RigidBlocks:
@@ -115,7 +121,9 @@ class RigidBlocks:
 
         self.friction = assembly.support.friction
         if any(piece.friction != self.friction for piece in assembly.pieces):
-            raise InputError(assembly.name, "compas-cra knows one coefficient of friction; give all bodies the same")
+            raise InputError(
+                assembly.name, "compas-cra knows one coefficient of friction; give all bodies the same"
+            )
         unit = min(float(piece.mesh.edges_unique_length.min()) for piece in assembly.pieces)
         self.blocks: Any = CRA_Assembly()
         for piece, goal in zip(assembly.pieces, assembly.goals, strict=True):
@@ -125,9 +133,17 @@ class RigidBlocks:
         mean_weight = float(np.mean([piece.mass for piece in assembly.pieces])) / unit**3
         # of pieces whose mean weight is 1; the support's does not matter
         self.densities = [*(piece.density / mean_weight for piece in assembly.pieces), 1.0]
-        slab = np.array([[x, y, z] for z in (-1, 0) for x, y in ((-WIDE, -WIDE), (WIDE, -WIDE), (WIDE, WIDE), (-WIDE, WIDE))])
+        slab = np.array(
+            [
+                [x, y, z]
+                for z in (-1, 0)
+                for x, y in ((-WIDE, -WIDE), (WIDE, -WIDE), (WIDE, WIDE), (-WIDE, WIDE))
+            ]
+        )
         sides = [[3, 2, 1, 0], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
-        support = Block.from_vertices_and_faces((slab + (0, 0, assembly.support.height / unit)).tolist(), sides)
+        support = Block.from_vertices_and_faces(
+            (slab + (0, 0, assembly.support.height / unit)).tolist(), sides
+        )
         self.blocks.set_boundary_condition(self.blocks.add_block(support))
         with contextlib.redirect_stdout(io.StringIO()):
             assembly_interfaces_numpy(self.blocks, nmax=len(assembly.pieces) + 1, tmax=NEAR, amin=SMALLEST)
@@ -156,7 +172,9 @@ class RigidBlocks:
             with contextlib.suppress(ValueError):  # IPOPT gives up on a few: other units of force help it
                 rbe_solve(self.blocks, mu=friction, density=1.0)
                 edges = self.blocks.graph.edges()
-                patches = [patch for edge in edges for patch in self.blocks.graph.edge_attribute(edge, "interfaces")]
+                patches = [
+                    patch for edge in edges for patch in self.blocks.graph.edge_attribute(edge, "interfaces")
+                ]
                 return max(float(force["c_nn"]) for patch in patches for force in patch.forces) / weight
         raise SomaBulletError(f"compas-cra finds no solution with friction {friction:.4g}")
 
@@ -164,9 +182,8 @@ class RigidBlocks:
 def _short_edge_first(corners: Array, faces: Indices) -> Indices:
     """Triangles (f, 3) turned so that they start with their shortest edge.
 
-    compas-cra clips faces in frames along their first edge; with a diagonal there it finds, now and then, a contact that is
-    not there.
-    """
+    compas-cra clips faces in frames along their first edge; with a diagonal there it finds, now and then, a
+    contact that is not there."""
     lengths = np.linalg.norm(corners[np.roll(faces, -1, axis=1)] - corners[faces], axis=2)
     first = lengths.argmin(axis=1)
     return faces[np.arange(len(faces))[:, None], (first[:, None] + np.arange(3)) % 3]

@@ -1,10 +1,10 @@
 """Random subassemblies of the Soma pieces, to try a judgement of stability on.
 
-Pieces are put down one by one on a grid of cells. A place is any that is free, that has the support or a placed piece under
-one of its cells, and that shares a face with what is there; all of them are equally likely, also those that no hand could
-reach. Only places where the piece itself balances exactly on an edge of what is under it are left out: cells of equal weight
-make them frequent, and what such a state does no measurement decides.
-"""
+Pieces are put down one by one on a grid of cells. A place is any that is free, that has the support or a
+placed piece under one of its cells, and that shares a face with what is there; all of them are equally
+likely, also those that no hand could reach. Only places where the piece itself balances exactly on an edge of
+what is under it are left out: cells of equal weight make them frequent, and what such a state does no
+measurement decides."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ class Placement:
     Attributes:
         piece: its name.
         rotation: index into `cube_rotations()`.
-        shift: [cells] from the origin of the piece to that of the grid, whose cells k = 0 stand on the support.
+        shift: [cells] from the origin of the piece to that of the grid, whose cells k = 0 stand on the
+            support.
     """
 
     piece: str
@@ -45,7 +46,8 @@ class Placement:
 
 
 def random_placements(seed: int, draw: int) -> tuple[Placement, ...]:
-    """Two to six different pieces that touch each other and the support; the same for the same (seed, draw)."""
+    """Two to six different pieces that touch each other and the support; the same for the same (seed,
+    draw)."""
     rng = np.random.default_rng([seed, draw])
     names = sorted(_soma().names)
     count = int(rng.integers(FEWEST, MOST + 1))
@@ -66,7 +68,9 @@ def assembly_of(placements: Sequence[Placement], clearance: float, name: str = "
     """The subassembly as an assembly on a support at height 0; clearance [m] of every piece."""
     pieces = tuple(replace(_piece(p.piece), clearance=clearance) for p in placements)
     rotations = cube_rotations()
-    goals = [make_transform(rotations[p.rotation], (np.array(p.shift) + (0, 0, 0.5)) * SIDE) for p in placements]
+    goals = [
+        make_transform(rotations[p.rotation], (np.array(p.shift) + (0, 0, 0.5)) * SIDE) for p in placements
+    ]
     return Assembly(name, pieces, readonly(goals), _soma().support)
 
 
@@ -81,7 +85,8 @@ def _piece(name: str) -> Workpiece:
 
 @cache
 def _turned(name: str) -> tuple[tuple[int, frozenset[Cell]], ...]:
-    """The different orientations of a piece: index of the rotation, and the cells about the piece's origin."""
+    """The different orientations of a piece: index of the rotation, and the cells about the piece's
+    origin."""
     reach = range(-2, 3)
     inside = [
         cell
@@ -99,8 +104,11 @@ def _turned(name: str) -> tuple[tuple[int, frozenset[Cell]], ...]:
 
 
 def _places(name: str, filled: set[Cell]) -> Iterator[tuple[Placement, frozenset[Cell]]]:
-    """All places where a piece may go, with the cells that it fills there; the first piece stands about the origin."""
-    low, high = (np.array([bound(cell[k] for cell in filled or {(0, 0, 0)}) for k in range(3)]) for bound in (min, max))
+    """All places where a piece may go, with the cells that it fills there; the first piece stands about the
+    origin."""
+    low, high = (
+        np.array([bound(cell[k] for cell in filled or {(0, 0, 0)}) for k in range(3)]) for bound in (min, max)
+    )
     for rotation, turned in _turned(name):
         cells = np.array(sorted(turned))
         least, most = cells.min(axis=0), cells.max(axis=0)

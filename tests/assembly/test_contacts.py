@@ -23,7 +23,9 @@ SQUARE = 0.0185**2  # [m2] the face of a cell
 MESHES = Path(__file__).resolve().parents[2] / "meshes"
 ASSEMBLIES = {path.stem: load_assembly(path) for path in sorted((MESHES / "soma").glob("*.toml"))}
 
-rotations = st.integers(0, 2**32 - 1).map(lambda seed: Rotation.random(rng=np.random.default_rng(seed)).as_matrix())
+rotations = st.integers(0, 2**32 - 1).map(
+    lambda seed: Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
+)
 offsets = st.tuples(*[st.floats(-1.0, 1.0)] * 3).map(np.array)
 names = st.sampled_from(sorted(ASSEMBLIES))
 
@@ -33,8 +35,11 @@ def box(size: tuple[float, float, float], name: str = "box", clearance: float = 
     return Workpiece(name, readonly(mesh.vertices), readonly(mesh.faces, int), clearance=clearance)
 
 
-def assert_same(found: tuple[Contact, ...], expected: tuple[Contact, ...], labels: list[int], motion: Array) -> None:
-    """`found` is `expected` after a motion, with piece i called labels[i]; corners agree within a micrometre."""
+def assert_same(
+    found: tuple[Contact, ...], expected: tuple[Contact, ...], labels: list[int], motion: Array
+) -> None:
+    """`found` is `expected` after a motion, with piece i called labels[i]; corners agree within a
+    micrometre."""
     assert len(found) == len(expected)
     left = list(found)
     for contact in expected:
@@ -79,7 +84,9 @@ def test_contacts_of_soma3_by_pair() -> None:
     big, small, z = (soma3.index(name) for name in ("BigL", "smallL", "Z"))
     found = {pair: round(area, 6) for pair, area in areas(soma3).items()}
     assert found == {(SUPPORT, z): 1, (big, z): 2, (big, small): 2, (small, z): 1}
-    from_z = {tuple(np.round(contact.normal).astype(int)) for contact in soma3.contacts_of(big, frozenset({z}))}
+    from_z = {
+        tuple(np.round(contact.normal).astype(int)) for contact in soma3.contacts_of(big, frozenset({z}))
+    }
     assert from_z == {(0, 0, 1), (0, -1, 0)}
     assert soma3.contacts_of(big, frozenset()) == ()
     assert [contact.body_a for contact in soma3.contacts_of(z, frozenset())] == [SUPPORT]
@@ -99,7 +106,10 @@ def test_patches_lie_where_the_pieces_touch(name: str) -> None:
             continue
         # the normal points out of a and into b, whatever the corners' convex hull spans
         for body, sign in ((contact.body_a, -1), (contact.body_b, 1)):
-            inside = [middle_of_square + sign * 1e-3 * contact.normal for middle_of_square in _square_middles(contact)]
+            inside = [
+                middle_of_square + sign * 1e-3 * contact.normal
+                for middle_of_square in _square_middles(contact)
+            ]
             parts = assembly.goal_parts[body]
             assert any(np.all(part.normals @ point < part.offsets) for part in parts for point in inside)
 
@@ -109,7 +119,10 @@ def _square_middles(contact: Contact) -> list[Array]:
     low = contact.points.min(axis=0)
     spans = [max(1, round(extent / 0.0185)) for extent in np.ptp(contact.points, axis=0)]
     flat = np.abs(contact.normal) > 0.5
-    return [low + np.where(flat, 0.0, (np.array(index) + 0.5) * 0.0185) for index in np.ndindex(*np.where(flat, 1, spans))]
+    return [
+        low + np.where(flat, 0.0, (np.array(index) + 0.5) * 0.0185)
+        for index in np.ndindex(*np.where(flat, 1, spans))
+    ]
 
 
 @given(name=names, rotation=rotations, offset=offsets)
@@ -122,7 +135,9 @@ def test_contacts_between_pieces_move_with_the_assembly(name: str, rotation: Arr
 
 
 @given(name=names, yaw=st.floats(-np.pi, np.pi), offset=offsets)
-def test_contacts_and_drops_move_with_the_assembly_and_its_support(name: str, yaw: float, offset: Array) -> None:
+def test_contacts_and_drops_move_with_the_assembly_and_its_support(
+    name: str, yaw: float, offset: Array
+) -> None:
     assembly = ASSEMBLIES[name]
     motion = make_transform(Rotation.from_rotvec((0, 0, yaw)).as_matrix(), offset)
     support = replace(assembly.support, height=assembly.support.height + offset[2])
@@ -148,7 +163,9 @@ def test_the_frame_of_a_mesh_does_not_matter(name: str, rotation: Array, offset:
     """A piece exported about another origin, its goal adapted, is the same piece."""
     assembly = ASSEMBLIES[name]
     frame = make_transform(rotation, offset)
-    pieces = tuple(replace(piece, vertices=apply(inverse(frame), piece.vertices)) for piece in assembly.pieces)
+    pieces = tuple(
+        replace(piece, vertices=apply(inverse(frame), piece.vertices)) for piece in assembly.pieces
+    )
     other = replace(assembly, pieces=pieces, goals=assembly.goals @ frame)
     assert_same(other.contacts, assembly.contacts, list(range(len(pieces))), np.eye(4))
     assert other.drops == pytest.approx(assembly.drops)
@@ -178,7 +195,9 @@ def test_the_unit_of_the_file_does_not_matter(tmp_path: Path, unit: tuple[str, f
     name, size = unit
     lines = ['name = "cube"', f'unit = "{name}"']
     for piece, goal in zip(cube.pieces, cube.goals, strict=True):
-        trimesh.Trimesh(piece.vertices / size, piece.faces, process=False).export(tmp_path / f"{piece.name}.ply")
+        trimesh.Trimesh(piece.vertices / size, piece.faces, process=False).export(
+            tmp_path / f"{piece.name}.ply"
+        )
         quaternion = Rotation.from_matrix(goal[:3, :3]).as_quat(scalar_first=True).tolist()
         lines += ["[[piece]]", f'name = "{piece.name}"', f'mesh = "{piece.name}.ply"']
         lines += [f"goal = {{ position = {(goal[:3, 3] / size).tolist()}, quat_wxyz = {quaternion} }}"]
@@ -213,9 +232,14 @@ def test_faces_that_share_less_than_a_square_millimetre_do_not_touch() -> None:
 def test_two_feet_on_one_body_are_one_patch() -> None:
     """A bridge on a plate: its contact spans both feet, the area is that of the feet alone."""
     bridge = trimesh.util.concatenate(
-        trimesh.boolean.difference([trimesh.creation.box((0.06, 0.02, 0.02)), _moved_box((0.02, 0.04, 0.02), (0, 0, -0.01))])
+        trimesh.boolean.difference(
+            [trimesh.creation.box((0.06, 0.02, 0.02)), _moved_box((0.02, 0.04, 0.02), (0, 0, -0.01))]
+        )
     )
-    pieces = [box((0.08, 0.08, 0.01), "plate"), Workpiece("bridge", readonly(bridge.vertices), readonly(bridge.faces, int))]
+    pieces = [
+        box((0.08, 0.08, 0.01), "plate"),
+        Workpiece("bridge", readonly(bridge.vertices), readonly(bridge.faces, int)),
+    ]
     goals = np.array([make_transform(None, (0, 0, 0.005)), make_transform(None, (0, 0, 0.02))])
     between = [contact for contact in find_contacts(pieces, goals, 0.0) if contact.body_a == 0]
     assert len(between) == 1
@@ -230,8 +254,13 @@ def _moved_box(size: tuple[float, float, float], offset: tuple[float, float, flo
 
 
 def test_drops_add_up_along_the_pieces_that_carry() -> None:
-    """Each face stands back by the clearance, so a piece on the support drops by one and each one above by two more."""
-    assert ASSEMBLIES["soma3"].drops * 1e3 == pytest.approx([0.3, 0.3, 0.1])  # smallL lies on Z and BigL: Z is the higher
-    pieces = tuple(box((0.02, 0.02, 0.02), str(c), clearance) for c, clearance in enumerate((1e-4, 2e-4, 0.0)))
+    """Each face stands back by the clearance, so a piece on the support drops by one and each one above by
+    two more."""
+    assert ASSEMBLIES["soma3"].drops * 1e3 == pytest.approx(
+        [0.3, 0.3, 0.1]
+    )  # smallL lies on Z and BigL: Z is the higher
+    pieces = tuple(
+        box((0.02, 0.02, 0.02), str(c), clearance) for c, clearance in enumerate((1e-4, 2e-4, 0.0))
+    )
     goals = np.array([make_transform(None, (0, 0, 0.01 + 0.02 * level)) for level in range(3)])
     assert replace(ASSEMBLIES["soma3"], pieces=pieces, goals=goals).drops == pytest.approx([1e-4, 4e-4, 6e-4])

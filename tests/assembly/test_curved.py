@@ -22,10 +22,13 @@ RADIUS = 8.0  # [mm]
 
 
 def dowel_in_block(sections: int, turn: float, bottom: float = 0.0) -> Assembly:
-    """A drilled block of 24 sections on the support, and a dowel of its own tessellation that stands `bottom` [mm] up."""
+    """A drilled block of 24 sections on the support, and a dowel of its own tessellation that stands `bottom`
+    [mm] up."""
     block = Body.cube([40, 40, 20], True) - Body.cylinder(30, RADIUS, RADIUS, 24, True)
     dowel = Body.cylinder(50, RADIUS, RADIUS, sections, True).rotate([0, 0, turn])
-    return assembly([solid(block, "block"), solid(dowel, "dowel")], [(0, 0, 0.010), (0, 0, 0.025 + bottom * 1e-3)])
+    return assembly(
+        [solid(block, "block"), solid(dowel, "dowel")], [(0, 0, 0.010), (0, 0, 0.025 + bottom * 1e-3)]
+    )
 
 
 def between(whole: Assembly) -> list[Contact]:
@@ -54,7 +57,9 @@ def test_a_dowel_touches_its_hole_all_round(sections: int, turn: float) -> None:
 def test_a_dowel_is_a_peg_whatever_its_tessellation(turn: float, sections: int) -> None:
     for bottom, kind in ((2.0, "peg through"), (0.0, "peg blind")):
         whole = dowel_in_block(sections, turn, bottom)
-        freedom = analyse_freedom(np.array([contact.normal for contact in whole.contacts_of(1, frozenset({0}))]))
+        freedom = analyse_freedom(
+            np.array([contact.normal for contact in whole.contacts_of(1, frozenset({0}))])
+        )
         assert freedom.type == kind
         assert freedom.best is not None and abs(freedom.best[2]) == pytest.approx(1.0, abs=1e-6)
 
@@ -69,8 +74,12 @@ def test_a_fit_by_another_tessellation_is_no_overlap_of_goals() -> None:
 
 @pytest.mark.parametrize("turn", [0.0, 3.0, 360 / 64])
 def test_a_roller_rests_on_a_line_and_rolls_away(turn: float) -> None:
-    roller = solid(Body.cylinder(50, RADIUS, RADIUS, 64, True).rotate([0, 0, turn]).rotate([0, 90, 0]), "roller")
-    whole = assembly([box((0.06, 0.06, 0.01), "plate"), roller], [(0, 0, 0.005), (0, 0, 0.010 + RADIUS * 1e-3)])
+    roller = solid(
+        Body.cylinder(50, RADIUS, RADIUS, 64, True).rotate([0, 0, turn]).rotate([0, 90, 0]), "roller"
+    )
+    whole = assembly(
+        [box((0.06, 0.06, 0.01), "plate"), roller], [(0, 0, 0.005), (0, 0, 0.010 + RADIUS * 1e-3)]
+    )
     (touch,) = between(whole)
     assert touch.normal == pytest.approx([0, 0, 1])
     size = np.ptp(touch.points, axis=0)

@@ -1,4 +1,5 @@
-"""Convex parts of concave solids: exact where the solid is cut, measured where it is approximated, kept by content."""
+"""Convex parts of concave solids: exact where the solid is cut, measured where it is approximated, kept by
+content."""
 
 from __future__ import annotations
 
@@ -64,12 +65,17 @@ def test_cuts_make_up_the_solid(name: str) -> None:
 
 @pytest.mark.parametrize("name", BODIES)
 def test_the_body_stands_back_by_its_clearance_and_no_more_inside(name: str) -> None:
-    """Real body: between erosion by the clearance and by a little more; cuts inside the solid leave no gap of their own."""
+    """Real body: between erosion by the clearance and by a little more; cuts inside the solid leave no gap of
+    their own."""
     piece = solid(BODIES[name](), clearance=5e-4)
-    points = piece.mesh.bounds[0] + np.random.default_rng(0).random((3000, 3)) * np.ptp(piece.mesh.bounds, axis=0)
+    points = piece.mesh.bounds[0] + np.random.default_rng(0).random((3000, 3)) * np.ptp(
+        piece.mesh.bounds, axis=0
+    )
     solid_inside = winding_numbers(piece.vertices, piece.faces, points) > 0.5
     _, depth, _ = trimesh.proximity.closest_point(piece.mesh, points)
-    inside = np.any([np.all(points @ p.normals.T < p.offsets + 1e-9, axis=1) for p in piece.body_parts], axis=0)
+    inside = np.any(
+        [np.all(points @ p.normals.T < p.offsets + 1e-9, axis=1) for p in piece.body_parts], axis=0
+    )
     assert not (inside & (~solid_inside | (depth < 5e-4 - 1e-7))).any()
     deep = solid_inside & (depth > 5e-4 / np.sin(np.deg2rad(20)))
     # a cut keeps both of its sides where it does not lie in the plane of a face
@@ -82,7 +88,11 @@ def test_random_differences_are_cut_exactly(seed: int) -> None:
     rng = np.random.default_rng(seed)
     body = Body.cube([30, 30, 30], True)
     for _ in range(3):
-        tool = Body.cube(rng.uniform(8, 25, 3), True).rotate(rng.uniform(0, 90, 3)).translate(rng.uniform(-18, 18, 3))
+        tool = (
+            Body.cube(rng.uniform(8, 25, 3), True)
+            .rotate(rng.uniform(0, 90, 3))
+            .translate(rng.uniform(-18, 18, 3))
+        )
         body -= tool
     largest = max(body.decompose(), key=lambda part: part.volume())
     raw = largest.to_mesh64()
@@ -92,7 +102,9 @@ def test_random_differences_are_cut_exactly(seed: int) -> None:
     assert sum(volumes) == pytest.approx(largest.volume() * 1e-9, rel=1e-5)
 
 
-def test_what_curves_inwards_is_approximated_and_says_how_well(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_curves_inwards_is_approximated_and_says_how_well(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     mesh = cup(0.020)
     piece = Workpiece("cup", readonly(mesh.vertices), readonly(mesh.faces, int))

@@ -22,7 +22,15 @@ from soma_bullet.frames import Array, apply, make_transform, readonly
 
 SIDE = 0.0185  # [m]
 SOMA = {piece.name: piece for piece in load_assembly("cube").pieces}
-LONGEST_RUNS = {"V": 2, "L": 2, "T": 2, "Z": 3, "A": 3, "B": 3, "P": 3}  # straight runs of cells that no other run contains
+LONGEST_RUNS = {
+    "V": 2,
+    "L": 2,
+    "T": 2,
+    "Z": 3,
+    "A": 3,
+    "B": 3,
+    "P": 3,
+}  # straight runs of cells that no other run contains
 SEEDS = st.integers(0, 2**32 - 1)
 
 
@@ -88,22 +96,29 @@ def test_parts_move_with_the_mesh(name: str, seed: int) -> None:
 def test_any_polycube_is_made_of_its_boxes(seed: int, count: int) -> None:
     vertices, faces = cell_mesh(random_polycube(seed, count), SIDE)
     mesh = trimesh.Trimesh(vertices, faces, process=False)
-    assert mesh.is_volume or not mesh.is_watertight  # cells that meet in an edge only leave it with four triangles
+    assert (
+        mesh.is_volume or not mesh.is_watertight
+    )  # cells that meet in an edge only leave it with four triangles
     assert mesh.volume == pytest.approx(count * SIDE**3)
     piece = Workpiece("polycube", vertices, faces)
     assert union_volume(piece.parts) == pytest.approx(count * SIDE**3)
-    assert union_volume(Workpiece("finer", *trimesh.remesh.subdivide(vertices, faces)).parts) == pytest.approx(count * SIDE**3)
+    assert union_volume(
+        Workpiece("finer", *trimesh.remesh.subdivide(vertices, faces)).parts
+    ) == pytest.approx(count * SIDE**3)
 
 
 @given(seed=SEEDS, clearance=st.floats(1e-5, 4e-3))
 def test_the_real_body_is_the_mesh_eroded_by_the_clearance(seed: int, clearance: float) -> None:
-    """A point lies in the union of the inset boxes exactly where the cube of the clearance about it fits into the mesh."""
+    """A point lies in the union of the inset boxes exactly where the cube of the clearance about it fits into
+    the mesh."""
     cells = random_polycube(seed, 5)
     piece = Workpiece("polycube", *cell_mesh(cells, SIDE), clearance=clearance)
     rng = np.random.default_rng(seed)
     points = (np.array(cells)[rng.integers(len(cells), size=200)] + rng.uniform(-0.5, 0.5, (200, 3))) * SIDE
     corners = np.array([(i, j, k) for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
-    reached = np.floor((points[:, None] + corners * clearance) / SIDE + 0.5).astype(int)  # a cell, as the cube is smaller
+    reached = np.floor((points[:, None] + corners * clearance) / SIDE + 0.5).astype(
+        int
+    )  # a cell, as the cube is smaller
     fits = np.array([{tuple(cell) for cell in cube} <= set(cells) for cube in reached.tolist()])
     assert (inside(piece.body_parts, points) == fits).all()
 
@@ -158,7 +173,9 @@ def test_a_convex_mesh_is_one_part(mesh: trimesh.Trimesh) -> None:
 
 
 def test_boxes_of_unequal_sizes_that_are_not_on_a_grid() -> None:
-    tee = trimesh.boolean.union([trimesh.creation.box((0.05, 0.011, 0.007)), trimesh.creation.box((0.013, 0.04, 0.0029))])
+    tee = trimesh.boolean.union(
+        [trimesh.creation.box((0.05, 0.011, 0.007)), trimesh.creation.box((0.013, 0.04, 0.0029))]
+    )
     assert union_volume(workpiece(tee).parts) == pytest.approx(tee.volume)
 
 

@@ -78,7 +78,9 @@ def test_there_are_240_soma_cubes() -> None:
 
 def test_no_symmetry_takes_one_soma_cube_to_another() -> None:
     """Their images are all different; that there are no others, see below."""
-    turned = {frozenset(turned_packing(packing, turn)) for packing in soma_cubes() for turn in box_symmetries(CUBE)}
+    turned = {
+        frozenset(turned_packing(packing, turn)) for packing in soma_cubes() for turn in box_symmetries(CUBE)
+    }
     assert len(turned) == 240 * 48
 
 
@@ -86,7 +88,9 @@ def test_no_symmetry_takes_one_soma_cube_to_another() -> None:
 def test_all_packings_are_the_240_in_all_their_positions(cube: Assembly) -> None:
     every = list(packings([piece_cells(piece) for piece in cube.pieces]))
     assert len(every) == len(set(every)) == 240 * 48
-    turned = {frozenset(turned_packing(packing, turn)) for packing in soma_cubes() for turn in box_symmetries(CUBE)}
+    turned = {
+        frozenset(turned_packing(packing, turn)) for packing in soma_cubes() for turn in box_symmetries(CUBE)
+    }
     assert {frozenset(packing) for packing in every} == turned
     rotated = {turned_packing(packing, turn) for packing in soma_cubes() for turn in cube_rotations()}
     assert len(rotated & set(every)) == 240 * 24

@@ -47,7 +47,10 @@ def test_boxes_are_those_of_the_description() -> None:
     np.testing.assert_allclose(left.half, (0.00275, 0.007, 0.040))
     np.testing.assert_allclose(left.T[:3, 3], (0.00525, 0, -0.033), atol=1e-12)
     np.testing.assert_allclose(right.T[:3, 3], (-0.00525, 0, -0.033), atol=1e-12)
-    for pad, sign in ((left_pad, 1.0), (right_pad, -1.0)):  # the pads alone reach the plane in which they meet
+    for pad, sign in (
+        (left_pad, 1.0),
+        (right_pad, -1.0),
+    ):  # the pads alone reach the plane in which they meet
         np.testing.assert_allclose(2 * pad.half[1:], hand.pad_size)
         np.testing.assert_allclose(pad.T[:3, 3], (sign * pad.half[0], 0, 0), atol=1e-12)
     assert hand.opening == pytest.approx(0.085)
@@ -75,7 +78,13 @@ def test_all_faults_at_once(folder: Path) -> None:
     with pytest.raises(InputError) as caught:
         load_hand(path)
     text = "\n".join(caught.value.faults)
-    for part in ("unit is missing", "grip.opening = -1", "grip.width is unknown", "400 N lies outside", "no file"):
+    for part in (
+        "unit is missing",
+        "grip.opening = -1",
+        "grip.width is unknown",
+        "400 N lies outside",
+        "no file",
+    ):
         assert part in text
     assert len(caught.value.faults) == 5
 
@@ -87,7 +96,11 @@ def test_all_faults_at_once(folder: Path) -> None:
         ("pad_size = [14.0, 14.0]", "pad_size = [14.0]", "must be an array"),
         ("opening = 85.0", "opening = 90.0", "travel half of it"),
         ('palm = "palm"', 'palm = "plam"', "'plam' is not a link"),
-        ('["finger_left_joint", "finger_right_joint"]', '["finger_right_joint", "finger_left_joint"]', "must open towards"),
+        (
+            '["finger_left_joint", "finger_right_joint"]',
+            '["finger_right_joint", "finger_left_joint"]',
+            "must open towards",
+        ),
         ('unit = "mm"', 'unit = "inch"', "must be one of"),
         ("schema = 1", "schema = 2", "reads schema 1"),
         ("[grip]", "[grip", "TOML"),
@@ -120,7 +133,9 @@ def test_visuals_stay_inside_the_collision_boxes_when_closed() -> None:
     assert (shown[0] > low.min(0) - 2e-4).all() and (shown[1] < high.max(0) + 2e-4).all()
 
 
-def test_the_committed_hand_is_what_the_script_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_committed_hand_is_what_the_script_writes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(sys, "argv", ["generate_hand.py", str(tmp_path)])
     runpy.run_path(str(ROOT / "scripts/generate_hand.py"), run_name="__main__")
     written = sorted(p.relative_to(tmp_path) for p in tmp_path.rglob("*") if p.is_file())

@@ -65,10 +65,13 @@ def test_a_straight_path_takes_as_long_as_by_hand() -> None:
 
 @pytest.mark.parametrize("seed", range(8))
 def test_a_straight_path_is_gone_along_as_fast_as_can_be(seed: int) -> None:
-    """One limit is used in full all the time: the speed's, or the acceleration's; and samples stay on the line."""
+    """One limit is used in full all the time: the speed's, or the acceleration's; and samples stay on the
+    line."""
     rng = np.random.default_rng(seed)
     ends = rng.uniform(-1.0, 1.0, (2, 6)) * (0.05 if seed % 2 else 2.0)
-    samples = time_path(ends[0] + np.sort(rng.uniform(0, 1, 50))[:, None] * (ends[1] - ends[0]), VELOCITY, ACCELERATION, DT)
+    samples = time_path(
+        ends[0] + np.sort(rng.uniform(0, 1, 50))[:, None] * (ends[1] - ends[0]), VELOCITY, ACCELERATION, DT
+    )
     whole = samples[-1] - samples[0]
     along = (samples - samples[0]) @ whole / (whole @ whole)
     np.testing.assert_allclose(samples, samples[0] + along[:, None] * whole, atol=1e-12)
@@ -120,7 +123,11 @@ def test_the_hand_keeps_its_own_limits(limits: HandLimits) -> None:
     distance = np.interp(samples[:, 0], path[:, 0], travel)  # the first joint grows with the travel
     assert (np.diff(distance) / DT).max() <= limits.speed * EXCESS * ROUNDING
     rise = max(limits.speed**2 / limits.acceleration, 0.0)
-    expected = 0.1 / limits.speed + limits.speed / limits.acceleration if rise < 0.1 else 2 * np.sqrt(0.1 / limits.acceleration)
+    expected = (
+        0.1 / limits.speed + limits.speed / limits.acceleration
+        if rise < 0.1
+        else 2 * np.sqrt(0.1 / limits.acceleration)
+    )
     assert (len(samples) - 1) * DT == pytest.approx(expected, rel=0.03)
 
 
@@ -135,7 +142,9 @@ def test_repeated_points_do_no_harm() -> None:
     path = bent(0)
     repeated = np.repeat(path, 2, axis=0)
     np.testing.assert_allclose(
-        time_path(repeated, VELOCITY, ACCELERATION, DT), time_path(path, VELOCITY, ACCELERATION, DT), atol=1e-9
+        time_path(repeated, VELOCITY, ACCELERATION, DT),
+        time_path(path, VELOCITY, ACCELERATION, DT),
+        atol=1e-9,
     )
 
 

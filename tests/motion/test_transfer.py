@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from soma_bullet.frames import Array
-from soma_bullet.motion.transfer import EDGE_STEP, TransferError, TransferOptions, blend_corners, edge_free, plan_transfer
+from soma_bullet.motion.transfer import (
+    EDGE_STEP,
+    TransferError,
+    TransferOptions,
+    blend_corners,
+    edge_free,
+    plan_transfer,
+)
 from soma_bullet.robot.cell import load_cell
 from soma_bullet.robot.collision import CollisionModel, Situation
 from soma_bullet.robot.kinematics import Robot
@@ -49,7 +56,9 @@ def test_it_goes_around_the_wall(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(3))
 def test_the_same_seed_gives_the_same_path(seed: int) -> None:
-    first, second = (plan_transfer(START, GOAL[None], LOWER, UPPER, wall, TransferOptions(seed=seed)) for _ in range(2))
+    first, second = (
+        plan_transfer(START, GOAL[None], LOWER, UPPER, wall, TransferOptions(seed=seed)) for _ in range(2)
+    )
     np.testing.assert_array_equal(first, second)
     other = plan_transfer(START, GOAL[None], LOWER, UPPER, wall, TransferOptions(seed=seed + 100))
     assert other.shape != first.shape or np.abs(other - first).max() > 1e-6
@@ -114,7 +123,9 @@ def test_blended_corners_are_dense_smooth_and_free() -> None:
         assert (np.abs(np.diff(dense, axis=0)).max(axis=1) > 1e-9).all()
     assert loose[:, 1].max() < tight[:, 1].max() <= 0.9
     assert not any(hull(q) for q in tight)
-    turns = [np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1)) for a, b in _steps(loose)]
+    turns = [
+        np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1)) for a, b in _steps(loose)
+    ]
     assert max(turns) < 0.3  # the corner alone turns by 1.46
 
 

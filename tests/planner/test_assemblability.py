@@ -35,22 +35,34 @@ TYPES = [
     ("peg blind", [X, -X, Y, -Y, Z], 1.0, Z),
     ("locked", [X, -X, Y, -Y, Z, -Z], 0.0, None),
 ]
-rotations = st.integers(0, 2**32 - 1).map(lambda seed: Rotation.random(rng=np.random.default_rng(seed)).as_matrix())
+rotations = st.integers(0, 2**32 - 1).map(
+    lambda seed: Rotation.random(rng=np.random.default_rng(seed)).as_matrix()
+)
 
 
 def analyse(whole: Assembly, piece: str, placed: str, scale: str = "finite") -> Assemblability:
     k = whole.index(piece)
     others = frozenset(whole.index(name) for name in placed)
     return analyse_assemblability(
-        whole.contacts_of(k, others), whole.goal_parts[k], {j: whole.goal_parts[j] for j in sorted(others)}, scale,
+        whole.contacts_of(k, others),
+        whole.goal_parts[k],
+        {j: whole.goal_parts[j] for j in sorted(others)},
+        scale,
         whole.support.height,
-    )  # fmt: skip
+    )
 
 
-@pytest.mark.parametrize(("kind", "normals", "clearance", "best"), TYPES, ids=lambda v: v if isinstance(v, str) else "")
+@pytest.mark.parametrize(
+    ("kind", "normals", "clearance", "best"), TYPES, ids=lambda v: v if isinstance(v, str) else ""
+)
 @given(rotation=rotations, data=st.data())
 def test_types_turn_with_the_contacts(
-    kind: str, normals: list[Array], clearance: float, best: Array | None, rotation: Array, data: st.DataObject
+    kind: str,
+    normals: list[Array],
+    clearance: float,
+    best: Array | None,
+    rotation: Array,
+    data: st.DataObject,
 ) -> None:
     order = data.draw(st.permutations(range(len(normals))))
     turned = np.array([rotation @ normals[k] for k in order]).reshape(-1, 3)
@@ -120,10 +132,19 @@ def test_a_sliver_of_freedom_counts_as_none() -> None:
 
 @pytest.mark.parametrize(
     ("kind", "clearance", "quality"),
-    [("free", 1, 1), ("plane", 1, 1), ("wedge", 0.5, 0.55), ("corner", 0.577, 0.6193), ("slot", 1, 0.1),
-     ("slot + bottom", 1, 0.1), ("slot + bottom + wall", 0.7, 0.07), ("peg through", 1, 0.05), ("peg blind", 1, 0.05),
-     ("locked", 0, 0)],
-)  # fmt: skip
+    [
+        ("free", 1, 1),
+        ("plane", 1, 1),
+        ("wedge", 0.5, 0.55),
+        ("corner", 0.577, 0.6193),
+        ("slot", 1, 0.1),
+        ("slot + bottom", 1, 0.1),
+        ("slot + bottom + wall", 0.7, 0.07),
+        ("peg through", 1, 0.05),
+        ("peg blind", 1, 0.05),
+        ("locked", 0, 0),
+    ],
+)
 def test_the_finite_scale(kind: str, clearance: float, quality: float) -> None:
     assert finite_quality(kind, clearance) == pytest.approx(quality)
 
@@ -133,17 +154,22 @@ def test_the_ordinal_scale() -> None:
 
 
 def roofed(roof: list[tuple[int, int, int]], gap: float = 0.5) -> Assembly:
-    """A square slab on a plate, and a bracket that it does not touch; the bracket's cells are lowered to the gap [cells]."""
+    """A square slab on a plate, and a bracket that it does not touch; the bracket's cells are lowered to the
+    gap [cells]."""
     plate = cells([(i, j, -1) for i in range(-3, 4) for j in range(-3, 4)], "p")
     slab = cells([(i, j, 0) for i in range(-1, 2) for j in range(-1, 2)], "c")
-    return assembly([plate, slab, cells(roof, "r")], [(0, 0, 0), (0, 0, 0), (0, 0, (gap - 1) * SIDE)], height=-1.5 * SIDE)
+    return assembly(
+        [plate, slab, cells(roof, "r")], [(0, 0, 0), (0, 0, 0), (0, 0, (gap - 1) * SIDE)], height=-1.5 * SIDE
+    )
 
 
 def test_a_roof_blocks_the_way_up_and_leaves_the_way_aside() -> None:
     whole = roofed([(0, 0, 2)])
     up = analyse(whole, "c", "p")
     assert up.direction == pytest.approx(-Z) and up.quality == 1.0
-    assert analyse(roofed([(0, 0, 2)], gap=1.0), "c", "pr").direction == pytest.approx(-Z)  # its own height is way enough
+    assert analyse(roofed([(0, 0, 2)], gap=1.0), "c", "pr").direction == pytest.approx(
+        -Z
+    )  # its own height is way enough
     aside = analyse(whole, "c", "pr")
     assert aside.type == "plane" and aside.quality > 0
     assert aside.direction is not None
@@ -152,7 +178,13 @@ def test_a_roof_blocks_the_way_up_and_leaves_the_way_aside() -> None:
 
 def test_a_room_without_a_door_is_no_way_in() -> None:
     """Walls and a roof around: nothing of them touches the slab, and nothing lets it out."""
-    room = [(i, j, k) for i in range(-3, 4) for j in range(-3, 4) for k in range(1, 3) if max(abs(i), abs(j)) == 3 or k == 2]
+    room = [
+        (i, j, k)
+        for i in range(-3, 4)
+        for j in range(-3, 4)
+        for k in range(1, 3)
+        if max(abs(i), abs(j)) == 3 or k == 2
+    ]
     shut = analyse(roofed(room, gap=0.5), "c", "pr")
     assert shut.quality == 0.0 and shut.direction is None
     assert shut.blockers == (2,)
@@ -161,9 +193,14 @@ def test_a_room_without_a_door_is_no_way_in() -> None:
 
 def test_a_lower_quality_where_the_best_direction_is_blocked() -> None:
     """Two walls make a wedge; a stopper in the diagonal leaves the way up, which has less clearance."""
-    upright, floor = ([(0, j, k) for j in range(-2, 3) for k in range(2)], [(i, j, -1) for i in range(5) for j in range(-2, 3)])
+    upright, floor = (
+        [(0, j, k) for j in range(-2, 3) for k in range(2)],
+        [(i, j, -1) for i in range(5) for j in range(-2, 3)],
+    )
     walls = cells(upright + floor, "w")
-    whole = assembly([walls, cells([(1, 0, 0)], "c"), cells([(2, 0, 1)], "s")], [(0, 0, 0)] * 3, height=-1.5 * SIDE)
+    whole = assembly(
+        [walls, cells([(1, 0, 0)], "c"), cells([(2, 0, 1)], "s")], [(0, 0, 0)] * 3, height=-1.5 * SIDE
+    )
     free, blocked = analyse(whole, "c", "w"), analyse(whole, "c", "ws")
     assert free.direction == pytest.approx(-(X + Z) / np.sqrt(2))
     assert free.quality == pytest.approx(0.1 + 0.9 * np.sqrt(0.5))

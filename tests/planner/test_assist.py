@@ -34,7 +34,15 @@ def test_a_vertical_pull_is_limited_by_pad_friction(hand: Hand) -> None:
     """Both pads together rub with 2 mu F: weight and push share it."""
     whole, push = in_the_air(), 2.0
     certificate = certify_hold(
-        whole, hand, frozenset({0}), 0, from_above((0, 0, 0)), "dropped", 1, DOWN, HoldLoad(push, disturbance=0.0)
+        whole,
+        hand,
+        frozenset({0}),
+        0,
+        from_above((0, 0, 0)),
+        "dropped",
+        1,
+        DOWN,
+        HoldLoad(push, disturbance=0.0),
     )
     mu = np.sqrt(whole.pieces[0].friction * hand.pad_friction)
     assert certificate.friction == pytest.approx(mu)
@@ -51,7 +59,9 @@ def test_the_weight_itself_has_to_be_carried(hand: Hand) -> None:
     for fraction, holds in ((0.9, True), (1.1, False)):
         whole = in_the_air(mass=most * fraction)
         load = HoldLoad(push=0.0, disturbance=1e-3)
-        margin = certify_hold(whole, hand, frozenset({0}), 0, from_above((0, 0, 0)), "dropped", load=load).margin
+        margin = certify_hold(
+            whole, hand, frozenset({0}), 0, from_above((0, 0, 0)), "dropped", load=load
+        ).margin
         assert (margin > 0) == holds
 
 
@@ -60,7 +70,9 @@ def test_a_harder_grip_takes_more(hand: Hand) -> None:
     margins = []
     for force in (5.0, 10.0, 20.0, 40.0, 80.0):
         stronger = replace(hand, grip_force=force)
-        certificate = certify_hold(whole, stronger, frozenset({0}), 0, from_above((0, 0, 0.005)), "dropped", 1, DOWN)
+        certificate = certify_hold(
+            whole, stronger, frozenset({0}), 0, from_above((0, 0, 0.005)), "dropped", 1, DOWN
+        )
         assert certificate.grip_force == force
         margins.append(certificate.margin)
     assert np.all(np.diff(margins) > 0)
@@ -72,12 +84,15 @@ def test_more_friction_takes_more(hand: Hand) -> None:
     for friction in (0.1, 0.3, 0.5, 1.0):
         whole = in_the_air()
         slippery = replace(whole, pieces=tuple(replace(piece, friction=friction) for piece in whole.pieces))
-        margins.append(certify_hold(slippery, hand, frozenset({0}), 0, from_above((0, 0, 0)), "dropped", 1, DOWN).margin)
+        margins.append(
+            certify_hold(slippery, hand, frozenset({0}), 0, from_above((0, 0, 0)), "dropped", 1, DOWN).margin
+        )
     assert np.all(np.diff(margins) > 0)
 
 
 def test_a_load_far_from_the_pads_turns_the_piece(hand: Hand) -> None:
-    """A beam across the closing axis, gripped in the middle or off it: two pads resist little moment about their axis."""
+    """A beam across the closing axis, gripped in the middle or off it: two pads resist little moment about
+    their axis."""
     margins = []
     for offset in (0.0, 0.02, 0.04, 0.06):
         whole = in_the_air(mass=0.3, size=(SIZE, 0.16, 0.02))
@@ -97,7 +112,9 @@ def test_a_load_far_from_the_pads_turns_the_piece(hand: Hand) -> None:
 def test_less_pad_on_the_piece_resists_less_moment(hand: Hand) -> None:
     whole = in_the_air(mass=0.3, size=(SIZE, 0.16, 0.02))
     full, part = (
-        certify_hold(whole, hand, frozenset({0}), 0, from_above((0, 0.01, 0)), "dropped", load=NEVER, contact=contact).margin
+        certify_hold(
+            whole, hand, frozenset({0}), 0, from_above((0, 0.01, 0)), "dropped", load=NEVER, contact=contact
+        ).margin
         for contact in (1.0, 0.3)
     )
     assert part < full
@@ -109,8 +126,12 @@ def test_the_push_comes_through_the_pieces_that_it_meets(hand: Hand) -> None:
     places = [(0, 0, SIZE / 2), (0.06, 0, SIZE / 2), (0.06, 0, SIZE + 0.01)]
     whole = assembly([held, other, coming], places)
     load = HoldLoad(push=20.0)
-    by_the_table = certify_hold(whole, hand, frozenset({0, 1}), 0, from_above((0, 0, SIZE / 2)), "dropped", 2, DOWN, load)
-    quiet = certify_hold(whole, hand, frozenset({0, 1}), 0, from_above((0, 0, SIZE / 2)), "dropped", load=load)
+    by_the_table = certify_hold(
+        whole, hand, frozenset({0, 1}), 0, from_above((0, 0, SIZE / 2)), "dropped", 2, DOWN, load
+    )
+    quiet = certify_hold(
+        whole, hand, frozenset({0, 1}), 0, from_above((0, 0, SIZE / 2)), "dropped", load=load
+    )
     assert by_the_table.wrench == quiet.wrench
     aside = np.array((0.0, 1.0, 0.0))
     wall = assembly([held, coming], [(0, 0, 0.5), (0, -0.025, 0.5)])

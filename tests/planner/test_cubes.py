@@ -10,7 +10,15 @@ import pytest
 
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
-from soma_bullet.assembly.packings import SIDE, Packing, draw_soma_cubes, piece_cells, sides_down, soma_cube, soma_cubes
+from soma_bullet.assembly.packings import (
+    SIDE,
+    Packing,
+    draw_soma_cubes,
+    piece_cells,
+    sides_down,
+    soma_cube,
+    soma_cubes,
+)
 from soma_bullet.frames import Array, apply
 from soma_bullet.grasp.hand import Hand
 from soma_bullet.planner.assembly_plan import AssemblyPlan
@@ -87,7 +95,8 @@ def test_the_cube_of_the_examples_needs_no_hold(planned: AssemblyPlan) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("number", DRAWN)
 def test_other_soma_cubes_are_planned_without_a_hold(number: int, hand: Hand) -> None:
-    """On one of its sides; on another it may happen that the hand reaches none of the pieces that could go in last."""
+    """On one of its sides; on another it may happen that the hand reaches none of the pieces that could go in
+    last."""
     assert cells_at_goal(soma_cube(number)) == soma_cubes()[number]
     cube, plan = planned_on_some_side(number, hand)
     assert all(step.holds == () for step in plan.steps)
@@ -102,7 +111,10 @@ def planned_on_some_side(number: int, hand: Hand) -> tuple[Assembly, AssemblyPla
             return cube, make_plan(cube, hand)
         except NoPlanError as error:
             # the orders that stand throughout fail for a grasp, and for nothing else
-            assert {row.blocked_by for row in error.rows if row.stable_throughout} <= {"graspability", "assemblability"}
+            assert {row.blocked_by for row in error.rows if row.stable_throughout} <= {
+                "graspability",
+                "assemblability",
+            }
     raise AssertionError(f"cube {number} has no plan on any side")
 
 
@@ -126,7 +138,11 @@ def test_every_direction_of_every_order_is_clear(planned: AssemblyPlan) -> None:
     for (placed, piece), direction in ways.items():
         others, body = np.vstack([np.zeros((0, 3)), *(cells[name] for name in sorted(placed))]), cells[piece]
         if direction is not None:
-            assert first_hit(body, np.array(direction), others, size(body, direction)) is None, (placed, piece, direction)
+            assert first_hit(body, np.array(direction), others, size(body, direction)) is None, (
+                placed,
+                piece,
+                direction,
+            )
             continue
         blocked += 1
         for axis in (*np.eye(3), *-np.eye(3)):

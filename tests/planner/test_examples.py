@@ -29,7 +29,8 @@ class Facts:
     Attributes:
         before: pairs of pieces of which the first goes in first.
         last: what can only go in at the end, if anything.
-        ways: assembly directions and types of pieces that have no other; None for either direction of the axis y.
+        ways: assembly directions and types of pieces that have no other; None for either direction of the
+            axis y.
         holds: least number of states that a hand has to hold up.
     """
 
@@ -42,8 +43,12 @@ class Facts:
 FACTS = {
     "dowel": Facts((("block", "dowel"),), "dowel", {"dowel": (DOWN, "peg blind")}),
     "bracket": Facts((), "bracket", {"bracket": (DOWN, "slot + bottom")}),
-    "sliding_lid": Facts((("box", "cargo"),), "lid", {"cargo": (DOWN, "plane"), "lid": (ALONG_X, "peg blind")}),
-    "crate": Facts((("box", "lower"),), "upper", {"lower": (DOWN, "slot + bottom"), "upper": (DOWN, "peg blind")}),
+    "sliding_lid": Facts(
+        (("box", "cargo"),), "lid", {"cargo": (DOWN, "plane"), "lid": (ALONG_X, "peg blind")}
+    ),
+    "crate": Facts(
+        (("box", "lower"),), "upper", {"lower": (DOWN, "slot + bottom"), "upper": (DOWN, "peg blind")}
+    ),
     "dovetail": Facts((), "pin", {"pin": (DOWN, "peg blind")}),
     "hinge": Facts((), "pin", {"pin": (AGAINST_X, "peg blind")}),
     "wedge_clamp": Facts(),
@@ -51,16 +56,19 @@ FACTS = {
         tuple(("seat", f"leg_{k}") for k in "abc"), None, {f"leg_{k}": (DOWN, "peg blind") for k in "abc"}
     ),
     "tower": Facts(
-        (("foot", "large"), ("large", "middle"), ("middle", "small")), "knob",
+        (("foot", "large"), ("large", "middle"), ("middle", "small")),
+        "knob",
         {name: (DOWN, "peg blind") for name in ("large", "middle", "small", "knob")},
     ),
     "gears": Facts((("plate", "left_shaft"), ("plate", "right_shaft"))),
     "leaning_bridge": Facts(
-        (("left_over", "rafter_under"), ("right_over", "rafter_under"), ("left_under", "rafter_under")), None, holds=3
+        (("left_over", "rafter_under"), ("right_over", "rafter_under"), ("left_under", "rafter_under")),
+        None,
+        holds=3,
     ),
     "arch": Facts(holds=2),
     "burr": Facts((("left_post", "beam"), ("right_post", "beam")), "key", {"key": (None, "peg through")}),
-}  # fmt: skip
+}
 SLOW = {"stool", "tower", "gears", "leaning_bridge", "burr", "hinge", "arch"}
 
 
@@ -72,12 +80,17 @@ def planned(name: str) -> tuple[Assembly, AssemblyPlan]:
     assembly = load_assembly(name)
     # the keystone and its small stones would give way to the usual 2 N of the last insertion
     load = HoldLoad(push=1.0) if name == "arch" else HoldLoad()
-    hand, options = load_hand(ROOT / "robots/ur5e_pair/hand.toml"), PlannerOptions(analyzers=("grounded",), load=load)
+    hand, options = (
+        load_hand(ROOT / "robots/ur5e_pair/hand.toml"),
+        PlannerOptions(analyzers=("grounded",), load=load),
+    )
     return assembly, make_plan(assembly, hand, options)
 
 
 def test_every_example_has_its_facts() -> None:
-    assert {path.stem for path in (ROOT / "meshes").glob("*/*.toml")} - {"soma3", "soma4", "cube"} == set(FACTS)
+    assert {path.stem for path in (ROOT / "meshes").glob("*/*.toml")} - {"soma3", "soma4", "cube"} == set(
+        FACTS
+    )
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -126,9 +139,14 @@ def test_the_bridge_needs_a_hand_for_each_pair_of_beams() -> None:
 
 @pytest.mark.slow
 def test_the_arch_can_be_built_from_its_springers_with_two_holds() -> None:
-    """The hand goes from the first haunch to the keystone, and lets go when the second haunch has closed the arch."""
+    """The hand goes from the first haunch to the keystone, and lets go when the second haunch has closed the
+    arch."""
     _, plan = planned("arch")
-    rows = [row for row in plan.orders if row.feasible and {row.order[0], row.order[1]} == {"left_springer", "right_springer"}]
+    rows = [
+        row
+        for row in plan.orders
+        if row.feasible and {row.order[0], row.order[1]} == {"left_springer", "right_springer"}
+    ]
     assert rows
     best = max(rows, key=lambda row: row.score)
     assert best.held[:2] == ((), ()) and best.held[4] == ()

@@ -32,7 +32,8 @@ def qualities(hand: Hand) -> dict[str, Qualities]:
 
 
 def surface(piece: Workpiece, points: Array, directions: Array) -> tuple[Array, Array]:
-    """Distance (n,) of points from the surface, and how well a face there looks along `directions` (n, 3): trimesh's word."""
+    """Distance (n,) of points from the surface, and how well a face there looks along `directions` (n, 3):
+    trimesh's word."""
     triangles = piece.mesh.triangles
     count = len(triangles)
     there = np.repeat(points, count, axis=0)
@@ -63,7 +64,9 @@ def test_grasps_fit_the_hand(name: str, hand: Hand) -> None:
     assert grasps.widths.min() >= options.smallest_width
     assert (grasps.contact >= options.smallest_contact).all() and (grasps.contact <= 1).all()
     rotations = grasps.Ts_piece_tcp[:, :3, :3]
-    np.testing.assert_allclose(rotations @ np.swapaxes(rotations, 1, 2), np.tile(np.eye(3), (len(grasps), 1, 1)), atol=1e-9)
+    np.testing.assert_allclose(
+        rotations @ np.swapaxes(rotations, 1, 2), np.tile(np.eye(3), (len(grasps), 1, 1)), atol=1e-9
+    )
     np.testing.assert_allclose(np.linalg.det(rotations), 1.0)
 
 
@@ -88,7 +91,9 @@ def test_each_piece_around_leaves_fewer_grasps(name: str, qualities: dict[str, Q
     judge, count = qualities[name], len(ALL[name].pieces)
     for piece in range(count):
         for others in permutations([k for k in range(count) if k != piece]):
-            left = [set(judge.accessible(piece, frozenset(others[:k])).tolist()) for k in range(len(others) + 1)]
+            left = [
+                set(judge.accessible(piece, frozenset(others[:k])).tolist()) for k in range(len(others) + 1)
+            ]
             assert all(after <= before for before, after in zip(left, left[1:], strict=False))
             chosen = judge.candidates(piece, frozenset(others)).tolist()  # clear on the way in too
             assert set(chosen) <= left[-1] and judge.graspability(piece, frozenset(others)) == len(chosen)
@@ -115,7 +120,9 @@ def test_the_sweep_holds_the_hand_all_along_the_way_out(hand: Hand) -> None:
             shifted = np.eye(4)
             shifted[2, 3] = -back
             hulls = hand_hulls(hand, shifted, 0.02 + 2 * opening)
-            for hull, centre, generators in zip(hulls, sweep.centres[:, 0], sweep.generators[:, 0], strict=True):
+            for hull, centre, generators in zip(
+                hulls, sweep.centres[:, 0], sweep.generators[:, 0], strict=True
+            ):
                 reach = np.abs(generators).sum(axis=0)
                 assert (np.abs(hull.vertices - centre) <= reach + 1e-9).all()
 
@@ -150,7 +157,9 @@ def test_the_set_is_frozen(hand: Hand) -> None:
     np.testing.assert_array_equal(taken.Ts_piece_tcp[1], first.Ts_piece_tcp[1])
 
 
-def test_assisting_hands_are_clear_of_the_next_piece_all_along(qualities: dict[str, Qualities], hand: Hand) -> None:
+def test_assisting_hands_are_clear_of_the_next_piece_all_along(
+    qualities: dict[str, Qualities], hand: Hand
+) -> None:
     judge, whole = qualities["soma3"], ALL["soma3"]
     z, big = whole.index("Z"), whole.index("BigL")
     placed = frozenset({z})
@@ -178,7 +187,8 @@ def test_points_of_a_moved_piece_move_with_it() -> None:
 
 
 def test_a_candidate_keeps_clear_all_along_the_insertion(qualities: dict[str, Qualities], hand: Hand) -> None:
-    """Checked at a dozen places of the way, pair by pair; and some grasp that is free at the goal is none on the way."""
+    """Checked at a dozen places of the way, pair by pair; and some grasp that is free at the goal is none on
+    the way."""
     judge, fewer = qualities["soma4"], 0
     whole = judge.assembly
     for piece in range(4):

@@ -1,4 +1,5 @@
-"""What must not change a plan, nor what it is made from: where things are, what they are called, how they are meshed."""
+"""What must not change a plan, nor what it is made from: where things are, what they are called, how they are
+meshed."""
 
 from __future__ import annotations
 
@@ -43,7 +44,7 @@ UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}  # [m]
 Subset = frozenset[int]
 
 
-# --- assemblies ---------------------------------------------------------------------------------------------------------
+# --- assemblies ---------------------------------------------------------------------------------------------
 
 
 def soma(seed: int) -> Assembly:
@@ -53,18 +54,24 @@ def soma(seed: int) -> Assembly:
 
 
 def boxes(seed: int) -> Assembly:
-    """Two boxes side by side, one or two on top, and everything turned, so that no face looks along an axis of the frame."""
+    """Two boxes side by side, one or two on top, and everything turned, so that no face looks along an axis
+    of the frame."""
     rng = np.random.default_rng(seed)
     height, depth = rng.uniform(0.01, 0.04), rng.uniform(0.015, 0.03)
     left, right = rng.uniform(0.015, 0.04, 2)
     shift = rng.uniform(-0.4, 0.4) * depth
-    found = [((left, depth, height), (-left / 2, 0, height / 2)), ((right, depth, height), (right / 2, shift, height / 2))]
+    found = [
+        ((left, depth, height), (-left / 2, 0, height / 2)),
+        ((right, depth, height), (right / 2, shift, height / 2)),
+    ]
     for _ in range(rng.integers(1, 3)):
         size = rng.uniform(0.015, 0.03, 3)
         place = rng.uniform(-0.3, 0.3, 2) * (left + right, depth)
         found.append((tuple(size), (*place, height + size[2] / 2)))
         height += size[2]
-    whole = assembly([box(size, f"box{k}") for k, (size, _) in enumerate(found)], [place for _, place in found])
+    whole = assembly(
+        [box(size, f"box{k}") for k, (size, _) in enumerate(found)], [place for _, place in found]
+    )
     return moved(whole, make_transform(rotation_about((0, 0, 1), rng.uniform(-3, 3))))
 
 
@@ -79,14 +86,18 @@ def dowel(seed: int) -> Assembly:
     block = manifold3d.Manifold.cube([*size, top], True).translate([0, 0, top / 2]) - hole
     pin = manifold3d.Manifold.cylinder(length, radius, radius, sections)
     plate = box((0.03, 0.02, 0.01), "plate")
-    places = [(0, 0, 0), (x / 1e3, y / 1e3, bottom / 1e3), (x / 1e3, y / 1e3, max(top, bottom + length) / 1e3 + 0.005)]
+    places = [
+        (0, 0, 0),
+        (x / 1e3, y / 1e3, bottom / 1e3),
+        (x / 1e3, y / 1e3, max(top, bottom + length) / 1e3 + 0.005),
+    ]
     return assembly([solid(block, "block"), solid(pin, "dowel"), plate], places)
 
 
 KINDS: dict[str, Callable[[int], Assembly]] = {"soma": soma, "boxes": boxes, "dowel": dowel}
 
 
-# --- what is said of one --------------------------------------------------------------------------------------------------
+# --- what is said of one ------------------------------------------------------------------------------------
 
 
 def subsets(count: int) -> list[Subset]:
@@ -111,7 +122,8 @@ class Facts:
 
 
 def grasps_of(judge: Qualities, piece: int, placed: Subset) -> Array:
-    """Accessible grasps at the goal (n, 14): position and frame in the assembly frame, width, fraction of the pad on the piece.
+    """Accessible grasps at the goal (n, 14): position and frame in the assembly frame, width, fraction of the
+    pad on the piece.
 
     Which of the two fingers is called the first does not tell grasps apart.
     """
@@ -130,7 +142,8 @@ def facts(whole: Assembly, hand: Hand | None = HAND) -> Facts:
 
 @cache
 def known(kind: str, seed: int) -> Facts:
-    # grasps on the many facets of a hole take seconds; those of the planner's own examples are compared with their plans
+    # grasps on the many facets of a hole take seconds; those of the planner's own examples are compared with
+    # their plans
     return facts(KINDS[kind](seed), None if kind == "dowel" else HAND)
 
 
@@ -172,7 +185,9 @@ def compare(
         if turned and not freedom_is_one(expected.whole, k, placed, way):
             continue  # see the last tests of this file
         assert other_way.quality == pytest.approx(way.quality, abs=SAME), where
-        assert set(other_way.blockers) == {SUPPORT if b == SUPPORT else labels[b] for b in way.blockers}, where
+        assert set(other_way.blockers) == {SUPPORT if b == SUPPORT else labels[b] for b in way.blockers}, (
+            where
+        )
         if way.direction is None:
             assert other_way.direction is None, where
         else:
@@ -192,14 +207,21 @@ def compare(
 
 
 def freedom_is_one(whole: Assembly, piece: int, placed: Subset, way: Assemblability) -> bool:
-    """Whether contacts leave one best direction, and it is not blocked: otherwise the frame has a say in what is tried."""
+    """Whether contacts leave one best direction, and it is not blocked: otherwise the frame has a say in what
+    is tried."""
     best = analyse_freedom(np.array([c.normal for c in whole.contacts_of(piece, placed)])).best
     if best is None:
         return True
-    return way.type not in ("slot", "peg through") and way.direction is not None and bool(way.direction @ best < -1 + SAME)
+    return (
+        way.type not in ("slot", "peg through")
+        and way.direction is not None
+        and bool(way.direction @ best < -1 + SAME)
+    )
 
 
-def compare_contacts(found: Assembly, expected: Assembly, motion: Array, labels: Sequence[int], factor: float) -> None:
+def compare_contacts(
+    found: Assembly, expected: Assembly, motion: Array, labels: Sequence[int], factor: float
+) -> None:
     left = list(found.contacts)
     for contact in expected.contacts:
         a, b = (SUPPORT if body == SUPPORT else labels[body] for body in (contact.body_a, contact.body_b))
@@ -220,14 +242,15 @@ def compare_contacts(found: Assembly, expected: Assembly, motion: Array, labels:
 
 
 def same_outline(first: Array, second: Array, normal: Array, tolerance: float) -> bool:
-    """Whether two sets of corners (n, 3) in planes of one normal span the same polygon; points on its edges are none."""
+    """Whether two sets of corners (n, 3) in planes of one normal span the same polygon; points on its edges
+    are none."""
     basis = np.stack(tangents(normal))
     hulls = [shapely.multipoints(points @ basis.T).convex_hull for points in (first, second)]
     height = float(np.abs((first.mean(axis=0) - second.mean(axis=0)) @ normal))
     return bool(hulls[0].hausdorff_distance(hulls[1]) < tolerance and height < tolerance)
 
 
-# --- variants of an assembly ------------------------------------------------------------------------------------------------
+# --- variants of an assembly --------------------------------------------------------------------------------
 
 
 def yawed(whole: Assembly, angle: float) -> tuple[Assembly, Array]:
@@ -254,8 +277,12 @@ def remeshed(whole: Assembly, seed: int) -> Assembly:
             vertices, faces = trimesh.remesh.subdivide(vertices, faces)
         names = rng.permutation(len(vertices))
         faces = names[np.array(faces)][rng.permutation(len(faces))]
-        faces = faces[np.arange(len(faces))[:, None], (rng.integers(3, size=len(faces))[:, None] + np.arange(3)) % 3]
-        pieces.append(replace(piece, vertices=readonly(vertices[np.argsort(names)]), faces=readonly(faces, int)))
+        faces = faces[
+            np.arange(len(faces))[:, None], (rng.integers(3, size=len(faces))[:, None] + np.arange(3)) % 3
+        ]
+        pieces.append(
+            replace(piece, vertices=readonly(vertices[np.argsort(names)]), faces=readonly(faces, int))
+        )
     return replace(whole, pieces=tuple(pieces))
 
 
@@ -264,15 +291,20 @@ def through_a_file(whole: Assembly, folder: Path, unit: str, size: float) -> Ass
     lines = [f'name = "test"\nunit = "{unit}"\n[support]\nheight = {float(whole.support.height / size)!r}']
     for piece, goal in zip(whole.pieces, whole.goals, strict=True):
         mesh = trimesh.Trimesh(piece.vertices / size, piece.faces, process=False)
-        (folder / f"{piece.name}.obj").write_text(trimesh.exchange.obj.export_obj(mesh, include_normals=False, digits=15))
+        (folder / f"{piece.name}.obj").write_text(
+            trimesh.exchange.obj.export_obj(mesh, include_normals=False, digits=15)
+        )
         quaternion = Rotation.from_matrix(goal[:3, :3]).as_quat(scalar_first=True).tolist()
-        lines += [f'[[piece]]\nname = "{piece.name}"\nmesh = "{piece.name}.obj"\nclearance = {float(piece.clearance / size)!r}']
+        lines += [
+            f'[[piece]]\nname = "{piece.name}"\nmesh = "{piece.name}.obj"\nclearance = '
+            f"{float(piece.clearance / size)!r}"
+        ]
         lines += [f"goal = {{ position = {(goal[:3, 3] / size).tolist()}, quat_wxyz = {quaternion} }}"]
     (folder / "test.toml").write_text("\n".join(lines))
     return load_assembly(folder / "test.toml")
 
 
-# --- the tests --------------------------------------------------------------------------------------------------------------
+# --- the tests ----------------------------------------------------------------------------------------------
 
 
 def shifted_facts(base: Facts, rng: np.random.Generator) -> None:
@@ -370,7 +402,7 @@ def test_nothing_changes_in_others_with(change: str, kind: str, seed: int, how: 
     CHANGES[change](known(kind, seed), np.random.default_rng(how))
 
 
-# --- plans ------------------------------------------------------------------------------------------------------------------
+# --- plans --------------------------------------------------------------------------------------------------
 
 
 def told(plan: AssemblyPlan, names: dict[str, str], rotation: Array) -> list[tuple[object, ...]]:
@@ -396,10 +428,15 @@ def planned(name: str) -> tuple[Assembly, AssemblyPlan]:
 
 @pytest.mark.parametrize("name", ["soma3", "boxes"])
 @pytest.mark.parametrize("step", [1, -1], ids=["same order", "reversed"])
-def test_the_plan_is_the_same_elsewhere_under_other_names_in_inches(name: str, step: int, tmp_path: Path) -> None:
-    """All at once: shifted, other names, other triangles, another unit; and the pieces in the file's order or in reverse."""
+def test_the_plan_is_the_same_elsewhere_under_other_names_in_inches(
+    name: str, step: int, tmp_path: Path
+) -> None:
+    """All at once: shifted, other names, other triangles, another unit; and the pieces in the file's order or
+    in reverse."""
     whole, plan = planned(name)
-    other, _ = shuffled(moved(whole, make_transform(None, (0.31, -0.17, 0.07))), range(len(whole.pieces))[::step])
+    other, _ = shuffled(
+        moved(whole, make_transform(None, (0.31, -0.17, 0.07))), range(len(whole.pieces))[::step]
+    )
     other = through_a_file(remeshed(other, 5), tmp_path, "in", UNITS["in"])
     again = make_plan(other, HAND)
     names = dict(zip(other.names, whole.names[::step], strict=True))
@@ -424,7 +461,7 @@ def test_the_plan_turns_with_everything(name: str, angle: float, change: float) 
     assert told(again, {}, motion[:3, :3]) == told(plan, {}, np.eye(3))
 
 
-# --- what does change ---------------------------------------------------------------------------------------------------------
+# --- what does change ---------------------------------------------------------------------------------------
 
 
 def test_a_margin_ends_wherever_the_assembly_is() -> None:
@@ -437,7 +474,8 @@ def test_a_margin_ends_wherever_the_assembly_is() -> None:
 
 @pytest.mark.parametrize("degrees", [15.0, 45.0])
 def test_a_way_out_of_a_tunnel_turns_with_the_tunnel(degrees: float) -> None:
-    """A cube on the support in a tunnel that it does not touch: it leaves along the tunnel, A = 1; turned, no way is found."""
+    """A cube on the support in a tunnel that it does not touch: it leaves along the tunnel, A = 1; turned, no
+    way is found."""
     side = 0.02
     walls = {(i, j, k) for i in range(-2, 3) for j in (-1, 0, 1) for k in (0, 1) if j or k}
     tunnel, cube = cells(sorted(walls), "tunnel", side), box((0.018,) * 3, "cube")
@@ -445,13 +483,20 @@ def test_a_way_out_of_a_tunnel_turns_with_the_tunnel(degrees: float) -> None:
     for angle in (0.0, degrees):
         turned = moved(whole, make_transform(rotation_about((0, 0, 1), np.deg2rad(angle))))
         others = {1: turned.goal_parts[1]}
-        way = analyse_assemblability(turned.contacts_of(0, frozenset({1})), turned.goal_parts[0], others, "finite", 0.0)
+        way = analyse_assemblability(
+            turned.contacts_of(0, frozenset({1})), turned.goal_parts[0], others, "finite", 0.0
+        )
         assert way.quality == 1.0
 
 
 def test_a_way_out_of_a_shelf_turns_with_the_shelf() -> None:
-    """A cube between a floor and a ceiling, both of which it touches: all horizontal ways are equal, and the frame chooses."""
-    floor, cube, ceiling = box((0.06, 0.04, 0.01), "floor"), box((0.02,) * 3, "cube"), box((0.06, 0.04, 0.01), "ceiling")
+    """A cube between a floor and a ceiling, both of which it touches: all horizontal ways are equal, and the
+    frame chooses."""
+    floor, cube, ceiling = (
+        box((0.06, 0.04, 0.01), "floor"),
+        box((0.02,) * 3, "cube"),
+        box((0.06, 0.04, 0.01), "ceiling"),
+    )
     whole = assembly([floor, cube, ceiling], [(0, 0, 0.005), (0, 0, 0.02), (0, 0, 0.035)])
     found = []
     for angle in (0.0, np.pi / 2):
@@ -464,7 +509,8 @@ def test_a_way_out_of_a_shelf_turns_with_the_shelf() -> None:
 
 
 def test_the_papers_measure_of_a_box_is_the_same_after_half_a_turn() -> None:
-    """Half a turn maps every hexagon onto itself; so do the last digits: a noise of 1e-11 gives 2.6746 before it, too."""
+    """Half a turn maps every hexagon onto itself; so do the last digits: a noise of 1e-11 gives 2.6746 before
+    it, too."""
     whole = boxes(24)
     turned, _ = yawed(whole, np.pi)
     placed = frozenset(range(len(whole.pieces)))
@@ -473,7 +519,8 @@ def test_the_papers_measure_of_a_box_is_the_same_after_half_a_turn() -> None:
 
 
 def test_a_direction_does_not_depend_on_the_order_of_the_pieces() -> None:
-    """Z into {smallL} of soma3, a slot: along -x, with the pieces in reverse along -y, where other grasps are in the way."""
+    """Z into {smallL} of soma3, a slot: along -x, with the pieces in reverse along -y, where other grasps are
+    in the way."""
     whole = load_assembly("soma3")
     other, labels = shuffled(whole, [2, 1, 0])
     found = []

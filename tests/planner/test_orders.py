@@ -23,8 +23,10 @@ from soma_bullet.planner.qualities import PlannerOptions
 from soma_bullet.planner.search import NOTHING, follow, score_of
 
 ROBUST, LEANING, FALLS = (
-    StateStability("robust", 0.5, 0.5), StateStability("clearance-dependent", 0.0, 0.3), StateStability("unstable", 0.0, 0.0),
-)  # fmt: skip
+    StateStability("robust", 0.5, 0.5),
+    StateStability("clearance-dependent", 0.0, 0.3),
+    StateStability("unstable", 0.0, 0.0),
+)
 
 
 @dataclass
@@ -69,7 +71,9 @@ class Table:
     def can_assist(self, *question: Any) -> bool:
         return bool(self.assisting(*question))
 
-    def assisting(self, piece: int, placed: frozenset[int], upcoming: int | None, direction: Any) -> list[int]:
+    def assisting(
+        self, piece: int, placed: frozenset[int], upcoming: int | None, direction: Any
+    ) -> list[int]:
         return [] if upcoming is not None and ("abcd"[piece], "abcd"[upcoming]) in self.ungraspable else [0]
 
 
@@ -87,9 +91,14 @@ def test_score_is_the_product_of_the_smallest() -> None:
 
 @pytest.mark.parametrize(
     ("minima", "score"),
-    [((2.0, 3, math.inf), math.inf), ((math.inf, 0, 10.0), 0.0), ((0.0, 5, math.inf), 0.0), ((math.inf, 5, 0.0), 0.0),
-     ((0.5, 2, 10.0), 10.0)],
-)  # fmt: skip
+    [
+        ((2.0, 3, math.inf), math.inf),
+        ((math.inf, 0, 10.0), 0.0),
+        ((0.0, 5, math.inf), 0.0),
+        ((math.inf, 5, 0.0), 0.0),
+        ((0.5, 2, 10.0), 10.0),
+    ],
+)
 def test_infinity_times_zero_is_zero(minima: tuple[float, ...], score: float) -> None:
     assert score_of(minima) == score
 
@@ -164,14 +173,18 @@ def test_steps_that_orders_share_agree() -> None:
     rng = np.random.default_rng(0)
     for _ in range(40):
         names = ["a", "b", "ab", "ac", "bc", "abc", "ad", "bd", "cd", "abd", "acd", "bcd"]
-        states = {f"{p}/{h}": (ROBUST, LEANING, FALLS)[rng.integers(3)] for p in names for h in ("", *p, *_pairs(p))}
+        states = {
+            f"{p}/{h}": (ROBUST, LEANING, FALLS)[rng.integers(3)] for p in names for h in ("", *p, *_pairs(p))
+        }
         orders = Orders(Table(states | {"abcd/": ROBUST}))  # type: ignore[arg-type]
         for order in ((0, 1, 2, 3), (2, 0, 3, 1)):
             followed = follow(orders.supports, order)
             paths = list(_paths(orders, order, 0, NOTHING))
             assert bool(paths) == followed.complete
             if paths:
-                assert _cost(orders, order, followed.holds[2]) == min(_cost(orders, order, path) for path in paths)
+                assert _cost(orders, order, followed.holds[2]) == min(
+                    _cost(orders, order, path) for path in paths
+                )
 
 
 def test_a_hand_that_is_not_needed_adds_nothing() -> None:

@@ -23,7 +23,8 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 @dataclass
 class Instance:
-    """A made-up assembly: qualities drawn by (placed set, piece), states that fall or stand by (placed set, held)."""
+    """A made-up assembly: qualities drawn by (placed set, piece), states that fall or stand by (placed set,
+    held)."""
 
     count: int
     seed: int
@@ -35,7 +36,10 @@ class Instance:
 
     def draw(self, *key: Any) -> float:
         if key not in self._drawn:
-            words = [self.seed, *(sum(2**k for k in part) if isinstance(part, frozenset) else hash(part) for part in key)]
+            words = [
+                self.seed,
+                *(sum(2**k for k in part) if isinstance(part, frozenset) else hash(part) for part in key),
+            ]
             self._drawn[key] = float(np.random.default_rng([abs(word) for word in words]).random())
         return self._drawn[key]
 
@@ -44,7 +48,11 @@ class Instance:
     def insertion(self, placed: Placed, piece: int) -> tuple[float, ...]:
         """Grasps get fewer the more is placed; a way in is missing now and then."""
         grasps = 5 + int(40 * min(self.draw(1, piece, other) for other in placed | {piece}))
-        way = 0.0 if placed and self.draw(2, placed, piece) < 0.15 else round(self.draw(3, placed, piece), 1) + 0.1
+        way = (
+            0.0
+            if placed and self.draw(2, placed, piece) < 0.15
+            else round(self.draw(3, placed, piece), 1) + 0.1
+        )
         return float(grasps), way
 
     def supports(self, before: Placed, piece: int, held: Placed, upcoming: int | None) -> tuple[Support, ...]:
@@ -80,7 +88,11 @@ def instance(count: int, seed: int, hands: int = 2, falling: float = 0.4) -> Ins
     made._holds = Holds(made)  # type: ignore[arg-type]
 
     def analyse(_: Any, placed: Placed, held: Placed) -> Judgement:
-        stands = len(placed) == count or len(held) == len(placed) or made.draw(6, placed, held) > made.falling + 0.1 * len(held)
+        stands = (
+            len(placed) == count
+            or len(held) == len(placed)
+            or made.draw(6, placed, held) > made.falling + 0.1 * len(held)
+        )
         if not stands:
             return Judgement(0.0, "falls", "unstable")
         verdict = "robust" if made.draw(7, placed, held) > 0.3 else "clearance-dependent"
@@ -117,7 +129,8 @@ def test_the_best_orders_are_those_of_brute_force(seed: int, count: int, hands: 
 
 
 def test_hands_change_in_these_instances() -> None:
-    """The comparison means little unless holds end, begin and pass from piece to piece in what it compares."""
+    """The comparison means little unless holds end, begin and pass from piece to piece in what it
+    compares."""
     again = changes = 0
     for seed in range(40):
         for item in by_brute_force(instance(5, seed))[:1]:
@@ -154,7 +167,9 @@ def test_twelve_pieces() -> None:
         followed = follow(steps.supports, order)
         insertions = [steps.insertion(frozenset(order[:i]), piece) for i, piece in enumerate(order)]
         if followed.complete:
-            assert score_of((followed.holds[0], *(min(v) for v in zip(*insertions, strict=True)))) <= best.score
+            assert (
+                score_of((followed.holds[0], *(min(v) for v in zip(*insertions, strict=True)))) <= best.score
+            )
 
 
 def test_nothing_to_find() -> None:

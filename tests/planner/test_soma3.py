@@ -1,4 +1,5 @@
-"""The paper's three-block case: a wall one cell thick that stands on one cell. The figures are those of the design notes."""
+"""The paper's three-block case: a wall one cell thick that stands on one cell. The figures are those of the
+design notes."""
 
 from __future__ import annotations
 
@@ -74,13 +75,16 @@ def test_the_finished_wall_is_robust(soma3: Assembly) -> None:
         (("Z", "smallL"), ("smallL",), "unstable"),  # it would take preload
     ],
 )
-def test_what_has_to_be_held(soma3: Assembly, placed: tuple[str, ...], held: tuple[str, ...], verdict: str) -> None:
+def test_what_has_to_be_held(
+    soma3: Assembly, placed: tuple[str, ...], held: tuple[str, ...], verdict: str
+) -> None:
     assert classify(soma3, named(soma3, *placed), named(soma3, *held)).verdict == verdict
 
 
 def test_the_lean_of_smallL_on_BigL(soma3: Assembly) -> None:
-    """By hand, in cells and weights: the pivot is BigL's upper edge, the centre of mass 1/6 beyond and 1/6 above it, the side
-    pushes back by N at a lever of 1. Moments: N = (1 + t) / 6. Friction on top: N + t <= 0.5. So t = 2/7."""
+    """By hand, in cells and weights: the pivot is BigL's upper edge, the centre of mass 1/6 beyond and 1/6
+    above it, the side pushes back by N at a lever of 1. Moments: N = (1 + t) / 6. Friction on top: N + t <=
+    0.5. So t = 2/7."""
     state = classify(soma3, named(soma3, "BigL", "smallL"), named(soma3, "BigL"))
     assert state.margin == 0.0
     assert state.margin_sides == pytest.approx(2 / 7, rel=0.02)  # the friction cone has twelve sides
@@ -99,7 +103,9 @@ def test_paper_mode_picks_the_fifth_order(soma3: Assembly, paper: AssemblyPlan) 
     assert paper.ties == ()
 
 
-def test_paper_mode_warns_of_a_state_that_falls(soma3: Assembly, qualities: Qualities, paper: AssemblyPlan) -> None:
+def test_paper_mode_warns_of_a_state_that_falls(
+    soma3: Assembly, qualities: Qualities, paper: AssemblyPlan
+) -> None:
     placed = named(soma3, "Z", "smallL")
     assert qualities.paper_stability(soma3.index("smallL"), placed) == pytest.approx(0.087, abs=5e-4)
     assert qualities.paper_stability(soma3.index("Z"), placed) == pytest.approx(1.516, abs=5e-4)
@@ -153,7 +159,10 @@ def test_every_order_has_its_row(request: pytest.FixtureRequest, soma3: Assembly
     assert {row.order for row in plan.orders} == set(permutations(soma3.names))
     assert [row.score for row in plan.orders] == sorted((row.score for row in plan.orders), reverse=True)
     for row in plan.orders:
-        assert {len(field) for field in (row.s, row.s_recomputed, row.g, row.a, row.types, row.directions, row.held)} == {3}
+        assert {
+            len(field)
+            for field in (row.s, row.s_recomputed, row.g, row.a, row.types, row.directions, row.held)
+        } == {3}
         assert not row.stable_throughout  # all six orders have states that fall
         assert row.score == pytest.approx(min(row.s_recomputed) * min(row.g) * min(row.a))
 
@@ -171,7 +180,9 @@ def test_equilibrium_mode_says_what_holds_do(equilibrium: AssemblyPlan) -> None:
 def test_an_excluded_order_is_not_taken(soma3: Assembly, hand: Hand, equilibrium: AssemblyPlan) -> None:
     second = make_plan(soma3, hand, excluded=frozenset({equilibrium.order}))
     assert second.order == ("BigL", "Z", "smallL")
-    (refused,) = second.passed_over  # the next best by geometry: no grasp of Z keeps smallL from tipping off it
+    (refused,) = (
+        second.passed_over
+    )  # the next best by geometry: no grasp of Z keeps smallL from tipping off it
     assert refused.startswith("holding Z in {smallL, Z}") and "must take 1 x" in refused
     two = make_plan(soma3, hand, PlannerOptions(top=2))
     assert [two.order, *(other.order for other in two.alternatives)] == [equilibrium.order, second.order]
@@ -209,13 +220,22 @@ def test_the_plan_survives_its_file(request: pytest.FixtureRequest, tmp_path: Pa
 def test_two_processes_write_the_same_bytes(tmp_path: Path, mode: str) -> None:
     code = (
         "import sys; from pathlib import Path; from soma_bullet.assembly.file import load_assembly; "
-        "from soma_bullet.grasp.hand import load_hand; from soma_bullet.planner.plan import PlannerOptions, make_plan; "
+        "from soma_bullet.grasp.hand import load_hand; from soma_bullet.planner.plan import "
+        "PlannerOptions, make_plan; "
         "from soma_bullet.records import write_json; "
-        "plan = make_plan(load_assembly('soma3'), load_hand(sys.argv[1]), PlannerOptions(stability=sys.argv[2])); "
+        "plan = make_plan(load_assembly('soma3'), load_hand(sys.argv[1]), "
+        "PlannerOptions(stability=sys.argv[2])); "
         "write_json(plan, Path(sys.argv[3]))"
     )
     for seed in ("1", "2"):
-        command = [sys.executable, "-c", code, str(ROOT / "robots/ur5e_pair/hand.toml"), mode, str(tmp_path / f"{seed}.json")]
+        command = [
+            sys.executable,
+            "-c",
+            code,
+            str(ROOT / "robots/ur5e_pair/hand.toml"),
+            mode,
+            str(tmp_path / f"{seed}.json"),
+        ]
         environment = os.environ | {"PYTHONHASHSEED": seed, "PYTHONPATH": str(ROOT)}
         subprocess.run(command, cwd=ROOT, env=environment, check=True, timeout=120)
     assert (tmp_path / "1.json").read_bytes() == (tmp_path / "2.json").read_bytes()

@@ -86,13 +86,18 @@ def test_a_tower_is_as_good_as_its_worst_joint() -> None:
     """Three cubes, each shifted: the margin is that of the rigid stack above the worst edge."""
     cube = [box((0.02,) * 3, str(k)) for k in range(3)]
     whole = assembly(cube, [(0, 0, 0.01), (0.004, 0, 0.03), (0.008, 0, 0.05)])
-    # above the table: centre at x = 0.004, z = 0.03; above cube 0: x = 0.006, z = 0.02 over it, edge at x = 0.01
-    assert classify(whole, frozenset(range(3))).margin == pytest.approx(min((0.010 - 0.004) / 0.03, 0.004 / 0.02), abs=1e-6)
+    # above the table: centre at x = 0.004, z = 0.03; above cube 0: x = 0.006, z = 0.02 over it, edge at x =
+    # 0.01
+    assert classify(whole, frozenset(range(3))).margin == pytest.approx(
+        min((0.010 - 0.004) / 0.03, 0.004 / 0.02), abs=1e-6
+    )
 
 
 def test_lying_between_walls_counts_on_the_clearance() -> None:
     """A leaning piece that only a side face keeps up."""
-    post = cells([(0, 0, k) for k in range(3)] + [(i, j, -1) for i in range(-1, 3) for j in range(-1, 2)], "post")
+    post = cells(
+        [(0, 0, k) for k in range(3)] + [(i, j, -1) for i in range(-1, 3) for j in range(-1, 2)], "post"
+    )
     hook = cells([(1, 0, 0), (2, 0, 0), (1, 0, 1)], "hook")
     whole = assembly([post, hook], [(0, 0, 0)] * 2, height=-1.5 * SIDE)
     assert classify(whole, frozenset({0, 1})).verdict == "robust"
@@ -112,7 +117,8 @@ def test_values_that_depend_on_clearance_lie_below_robust_ones() -> None:
 
 
 def test_no_preload_by_a_hand() -> None:
-    """A beam that tips off its post: a block held on the tipping end would have to push up, which none can."""
+    """A beam that tips off its post: a block held on the tipping end would have to push up, which none
+    can."""
     post, beam, block = box((0.02,) * 3, "post"), box((0.08, 0.02, 0.02), "beam"), box((0.02,) * 3, "block")
     whole = assembly([post, beam, block], [(0, 0, 0.01), (0.025, 0, 0.03), (0.055, 0, 0.05)])
     placed = frozenset(range(3))
@@ -123,7 +129,9 @@ def test_no_preload_by_a_hand() -> None:
 
 def test_what_a_held_piece_presses_down_does_not_rub() -> None:
     """Friction there would come from the hand's push alone."""
-    whole = assembly([box((0.02,) * 3, str(k)) for k in range(3)], [(0, 0, 0.01 + 0.02 * k) for k in range(3)])
+    whole = assembly(
+        [box((0.02,) * 3, str(k)) for k in range(3)], [(0, 0, 0.01 + 0.02 * k) for k in range(3)]
+    )
     between = {(c.body_a, c.body_b): c for c in whole.contacts}
     held = frozenset({1})
     assert frictionless(between[0, 1], held, "dropped")  # the held one lies on 0
@@ -176,7 +184,9 @@ def test_a_yaw_of_everything_changes_little(name: str, yaw: float) -> None:
 def test_a_yaw_of_what_stands_on_the_table_changes_two_percent(yaw: float, height: float) -> None:
     whole = assembly([box((0.03, 0.02, 0.02 * height))], [(0, 0, 0.01 * height)])
     turned = moved(whole, make_transform(rotation_about((0, 0, 1), yaw)))
-    assert classify(turned, frozenset({0})).margin == pytest.approx(classify(whole, frozenset({0})).margin, rel=0.02)
+    assert classify(turned, frozenset({0})).margin == pytest.approx(
+        classify(whole, frozenset({0})).margin, rel=0.02
+    )
 
 
 @settings(max_examples=6)

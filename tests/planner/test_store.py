@@ -33,7 +33,9 @@ def twins() -> Assembly:
 def counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     made: list[int] = []
 
-    def count(whole: Assembly, hand: Hand, options: PlannerOptions, excluded: frozenset[tuple[str, ...]]) -> object:
+    def count(
+        whole: Assembly, hand: Hand, options: PlannerOptions, excluded: frozenset[tuple[str, ...]]
+    ) -> object:
         made.append(options.seed)
         return make_plan(whole, hand, options, excluded)
 
@@ -58,7 +60,9 @@ def test_a_kept_plan_is_the_plan_byte_for_byte(
     assert len(made) == 2  # one for each of the two equal orders
 
 
-def test_what_decides_a_plan_is_part_of_the_key(twins: Assembly, hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_decides_a_plan_is_part_of_the_key(
+    twins: Assembly, hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
     made = counted(monkeypatch)
     kept_plan(twins, hand, PlannerOptions())
     kept_plan(twins, hand, PlannerOptions())

@@ -9,9 +9,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from soma_bullet.records import package_versions, read_json, write_json
-from soma_bullet.report.report import EpisodeReport, print_report
-from soma_bullet.sim.judge import (
+from soma_bullet.judge.judge import (
     ForbiddenContact,
     GraspSlip,
     HoldDrift,
@@ -21,7 +19,9 @@ from soma_bullet.sim.judge import (
     PieceVerdict,
     Tolerance,
 )
-from soma_bullet.sim.log import Event
+from soma_bullet.records import package_versions, read_json, write_json
+from soma_bullet.report.report import EpisodeReport, print_report
+from soma_bullet.world.log import Event
 
 
 @pytest.fixture
@@ -40,13 +40,27 @@ def report() -> EpisodeReport:
         makespan_s=29.3,
     )
     return EpisodeReport(
-        success=True, pieces=pieces, assembly="soma3", digest="0123", cell="ur5e_pair", order=("Z", "BigL"),
-        stability="equilibrium", seed=5, ablation="", tolerance=Tolerance(), judgement=judgement, feed_rejected={"overlap": 2},
-        rejections={"Z: right arm does not reach the goal": 3}, certificates={"Z": 17.6},
-        makespan_s=29.3, planned_s={"together": 28.0, "one at a time": 40.0, "as scheduled": 50.0},
-        events=(Event(4.5, "trouble", "Z", "Z lost in grasp"),), wall_s={"plan": 0.4, "execution": 7.0},
-        video={"file": "", "renderer": "", "note": ""}, versions=package_versions(),
-    )  # fmt: skip
+        success=True,
+        pieces=pieces,
+        assembly="soma3",
+        digest="0123",
+        cell="ur5e_pair",
+        order=("Z", "BigL"),
+        stability="equilibrium",
+        seed=5,
+        ablation="",
+        tolerance=Tolerance(),
+        judgement=judgement,
+        feed_rejected={"overlap": 2},
+        rejections={"Z: right arm does not reach the goal": 3},
+        certificates={"Z": 17.6},
+        makespan_s=29.3,
+        planned_s={"together": 28.0, "one at a time": 40.0, "as scheduled": 50.0},
+        events=(Event(4.5, "trouble", "Z", "Z lost in grasp"),),
+        wall_s={"plan": 0.4, "execution": 7.0},
+        video={"file": "", "renderer": "", "note": ""},
+        versions=package_versions(),
+    )
 
 
 def printed(report: EpisodeReport) -> str:
@@ -64,7 +78,10 @@ def test_a_success_reads_like_one(report: EpisodeReport) -> None:
     assert "0.31 mm, 0.20 deg (BigL, left hand)" in text  # the largest slip, not the first
     assert "right held Z" in text and "8.2 s, drift 0.01 mm, grip at least 20 N" in text
     assert "peak 1.3 N at the right wrist, stopped early" in text
-    assert "29.3 s simulated; planned 28.0 s, 44% less than 50.0 s as scheduled, 30% less than 40.0 s with one arm" in text
+    assert (
+        "29.3 s simulated; planned 28.0 s, 44% less than 50.0 s as scheduled, 30% less than 40.0 s with "
+        "one arm" in text
+    )
     assert "4.5 s   trouble: Z Z lost in grasp" in text and "execution 7.0 s" in text
 
 
@@ -76,11 +93,16 @@ def test_a_failure_says_why(report: EpisodeReport) -> None:
     text = printed(replace(report, success=False, pieces=(bad, report.pieces[1]), judgement=judgement))
     assert "failure" in text and "success" not in text
     assert all(cause in text for cause in causes)
-    assert [line.split("│")[-2].strip() for line in text.splitlines() if line.startswith("│ ")] == ["no", "yes"]
+    assert [line.split("│")[-2].strip() for line in text.splitlines() if line.startswith("│ ")] == [
+        "no",
+        "yes",
+    ]
 
 
 def test_an_episode_that_broke_off_at_once_can_be_printed(report: EpisodeReport) -> None:
-    judgement = replace(report.judgement, success=False, causes=("Z lost in grasp",), slips=(), holds=(), insertions=())
+    judgement = replace(
+        report.judgement, success=False, causes=("Z lost in grasp",), slips=(), holds=(), insertions=()
+    )
     assert "Z lost in grasp" in printed(replace(report, success=False, judgement=judgement))
 
 

@@ -52,7 +52,9 @@ def sample(cell: Cell, seed: int) -> dict[str, float]:
     for arm in cell.arms:
         values = arm.q_home if seed == 0 else rng.uniform(arm.lower, arm.upper)
         q |= dict(zip(arm.joint_names, values, strict=True))
-        q |= {joint: 0.0 if seed == 0 else rng.uniform(0, arm.hand.opening / 2) for joint in arm.finger_joints}
+        q |= {
+            joint: 0.0 if seed == 0 else rng.uniform(0, arm.hand.opening / 2) for joint in arm.finger_joints
+        }
     return q
 
 
@@ -87,7 +89,9 @@ def test_forward_kinematics_agree(cell: Cell, urdf: Path, bullet, seed: int) -> 
         for link in (arm.tcp_link, arm.tool_link, *arm.finger_links):
             T_pin = data.oMf[model.getFrameId(link)].homogeneous
             np.testing.assert_allclose(tree.get_transform(link, "world"), T_pin, atol=1e-6)
-            state = pybullet.getLinkState(body, links[link], computeForwardKinematics=1, physicsClientId=client)
+            state = pybullet.getLinkState(
+                body, links[link], computeForwardKinematics=1, physicsClientId=client
+            )
             np.testing.assert_allclose(state[4], T_pin[:3, 3], atol=1e-6)
             rotation = np.reshape(pybullet.getMatrixFromQuaternion(state[5]), (3, 3))
             np.testing.assert_allclose(rotation, T_pin[:3, :3], atol=1e-6)
@@ -97,7 +101,9 @@ def test_the_hand_sits_on_the_tool(cell: Cell, urdf: Path) -> None:
     pin, model, data = pin_model(urdf)
     pin.framesForwardKinematics(model, data, pin_q(model, sample(cell, 1)))
     for arm in cell.arms:
-        T_tool_tcp = data.oMf[model.getFrameId(arm.tool_link)].actInv(data.oMf[model.getFrameId(arm.tcp_link)])
+        T_tool_tcp = data.oMf[model.getFrameId(arm.tool_link)].actInv(
+            data.oMf[model.getFrameId(arm.tcp_link)]
+        )
         np.testing.assert_allclose(T_tool_tcp.homogeneous, arm.hand.T_mount_tcp, atol=1e-9)
 
 
@@ -119,7 +125,8 @@ def add_wanted_pairs(cell: Cell, pin, model, geometry) -> None:
         links = frozenset(model.frames[o.parentFrame].name for o in (a, b))
         i, j = a.parentJoint, b.parentJoint
         neighbours = i == j or i == model.parents[j] or j == model.parents[i]
-        # The world is no neighbour: a shoulder hangs from it, but may not touch table, stand or the other arm's base.
+        # The world is no neighbour: a shoulder hangs from it, but may not touch table, stand or the other
+        # arm's base.
         arms = {link.split("_")[0] for link in links}
         if links in never or (neighbours and (i == j or 0 not in (i, j) or len(arms) == 1)):
             geometry.removeCollisionPair(pin.CollisionPair(first, second))
@@ -141,7 +148,9 @@ def test_home_is_free_of_collision(cell: Cell, urdf: Path) -> None:
     names = [geometry.geometryObjects[i].name for i in (worst.first, worst.second)]
     assert distances.min() > 0.005, f"{names} are {distances.min() * 1e3:.1f} mm apart"
     through = pin_q(model, {**sample(cell, 0), cell.joint_names[1]: 0.6})
-    assert pin.computeCollisions(model, data, geometry, geometry_data, through, True)  # reaches through the table
+    assert pin.computeCollisions(
+        model, data, geometry, geometry_data, through, True
+    )  # reaches through the table
 
 
 def test_collision_hulls_are_the_shapes(urdf: Path) -> None:

@@ -43,8 +43,14 @@ def blocks(robot: Robot) -> CollisionModel:
 
 def lying() -> dict[str, Array]:
     """The three pieces somewhere on the table."""
-    places = {"BigL": (0.3, (-0.2, 0.2, 0.08)), "smallL": (1.0, (0.2, 0.25, 0.08)), "Z": (2.0, (0.1, -0.25, 0.08))}
-    return {name: make_transform(rotation_about((0, 0, 1), turn), place) for name, (turn, place) in places.items()}
+    places = {
+        "BigL": (0.3, (-0.2, 0.2, 0.08)),
+        "smallL": (1.0, (0.2, 0.25, 0.08)),
+        "Z": (2.0, (0.1, -0.25, 0.08)),
+    }
+    return {
+        name: make_transform(rotation_about((0, 0, 1), turn), place) for name, (turn, place) in places.items()
+    }
 
 
 def states(robot: Robot, count: int, seed: int) -> Iterator[Array]:
@@ -57,7 +63,8 @@ def states(robot: Robot, count: int, seed: int) -> Iterator[Array]:
 
 
 def at(robot: Robot, arm: int, T: Array, opening: float) -> Array:
-    """A configuration with one arm's TCP at T (4, 4) and the other at home, that is free of the arm itself."""
+    """A configuration with one arm's TCP at T (4, 4) and the other at home, that is free of the arm
+    itself."""
     found = robot.inverse(arm, T, robot.home[arm])
     assert len(found)
     qs = np.array(robot.home)
@@ -78,7 +85,9 @@ def test_broad_phase_equals_all_pairs(robot: Robot, model: CollisionModel) -> No
     carried = (0, make_transform(None, (0, 0, 0.01)))
     scenes = [
         model.scene(Situation(poses, BOTH)),
-        model.scene(Situation({n: T for n, T in poses.items() if n != "Z"}, frozenset({0}), {"Z": carried}, {"Z": 0})),
+        model.scene(
+            Situation({n: T for n, T in poses.items() if n != "Z"}, frozenset({0}), {"Z": carried}, {"Z": 0})
+        ),
     ]
     for scene in scenes:
         hits = 0
@@ -123,11 +132,18 @@ def test_what_is_meant_to_touch_may(robot: Robot, blocks: CollisionModel) -> Non
     """A carried cube on another: forbidden within the margin unless the contact is meant; never deep."""
     lower = make_transform(None, (0, 0.25, 0.015))
     gripped, pair = {"two": 0}, frozenset({frozenset({"one", "two"})})
-    for depth, meant, hit in ((0.0, False, True), (0.0, True, False), (2e-4, True, True), (-1e-3, False, False)):
+    for depth, meant, hit in (
+        (0.0, False, True),
+        (0.0, True, False),
+        (2e-4, True, True),
+        (-1e-3, False, False),
+    ):
         T = above(0.045 - depth)
         T_tcp_piece = inverse(T) @ make_transform(None, (0, 0.25, 0.045 - depth))
         touching = pair if meant else frozenset()
-        scene = blocks.scene(Situation({"one": lower}, frozenset({0}), {"two": (0, T_tcp_piece)}, gripped, touching))
+        scene = blocks.scene(
+            Situation({"one": lower}, frozenset({0}), {"two": (0, T_tcp_piece)}, gripped, touching)
+        )
         q = at(robot, 0, T, 0.03)
         assert scene.collides(q) == hit, (depth, meant, scene.colliding(q))
 
@@ -142,7 +158,10 @@ def test_a_carried_piece_is_checked(robot: Robot, blocks: CollisionModel) -> Non
     carrying = replace(free, carried={"one": (0, hanging)}, gripped={"one": 0})
     assert {frozenset(p[:2]) for p in blocks.scene(carrying).colliding(q)} == {frozenset({"one", "table"})}
     scene = blocks.scene(replace(carrying, poses={"two": make_transform(None, (0.02, 0.25, 0.03))}))
-    assert {frozenset(p[:2]) for p in scene.colliding(q)} == {frozenset({"one", "table"}), frozenset({"one", "two"})}
+    assert {frozenset(p[:2]) for p in scene.colliding(q)} == {
+        frozenset({"one", "table"}),
+        frozenset({"one", "two"}),
+    }
     # the same scene serves another grasp
     scene.attach("one", 0, inverse(T) @ make_transform(None, (0, 0.25, 0.09)))
     assert not scene.collides(q) and not scene.colliding(q)
@@ -168,11 +187,12 @@ def test_an_absent_arm_is_left_out(robot: Robot, blocks: CollisionModel) -> None
     assert not blocks.scene(replace(situation, absent=frozenset({1}))).collides(q)
 
 
-# --- PyBullet as the judge ------------------------------------------------------------------------------------------------
+# --- PyBullet as the judge ----------------------------------------------------------------------------------
 
 
 def test_swept_fingers_stand_for_all_widths(robot: Robot, blocks: CollisionModel) -> None:
-    """A block beside the hand, between its fingers, or away: the swept fingers hit it if they do at some width."""
+    """A block beside the hand, between its fingers, or away: the swept fingers hit it if they do at some
+    width."""
     rng, seen = np.random.default_rng(4), {True: 0, False: 0}
     configuration = at(robot, 0, above(0.2), 0.01)
     hand = robot.tcp(0, configuration[robot.arm_slots(0)])
@@ -231,7 +251,9 @@ def bullet(robot: Robot, tmp_path_factory: pytest.TempPathFactory) -> Iterator[t
     pybullet.disconnect(client)
 
 
-def test_what_is_free_here_is_not_hit_in_pybullet(robot: Robot, model: CollisionModel, bullet: tuple[int, int]) -> None:
+def test_what_is_free_here_is_not_hit_in_pybullet(
+    robot: Robot, model: CollisionModel, bullet: tuple[int, int]
+) -> None:
     import pybullet
 
     client, body = bullet
@@ -242,7 +264,9 @@ def test_what_is_free_here_is_not_hit_in_pybullet(robot: Robot, model: Collision
             assert part.box is not None
             centre, axes, half = part.box
             place = pose @ make_transform((axes * np.sign(np.linalg.det(axes))).T, centre)
-            shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half.tolist(), physicsClientId=client)
+            shape = pybullet.createCollisionShape(
+                pybullet.GEOM_BOX, halfExtents=half.tolist(), physicsClientId=client
+            )
             quat_xyzw = _quat_xyzw(place)
             pybullet.createMultiBody(0.0, shape, -1, place[:3, 3].tolist(), quat_xyzw, physicsClientId=client)
     count = pybullet.getNumJoints(body, physicsClientId=client)

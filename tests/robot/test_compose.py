@@ -19,10 +19,17 @@ def test_arms_apart_are_the_arms_of_the_whole(tmp_path: Path) -> None:
     cell = load_cell("ur5e_pair")
     whole = parse_urdf(compose_urdf(cell, STAND, tmp_path / "cell.urdf", visuals=False, fixtures=False))
     apart = [
-        parse_urdf(compose_urdf(cell, STAND, tmp_path / f"{arm.name}.urdf", visuals=False, fixtures=False, arms=[arm]))
+        parse_urdf(
+            compose_urdf(
+                cell, STAND, tmp_path / f"{arm.name}.urdf", visuals=False, fixtures=False, arms=[arm]
+            )
+        )
         for arm in cell.arms
     ]
-    assert [link.name for link in whole.links] == ["world", *(link.name for one in apart for link in one.links[1:])]
+    assert [link.name for link in whole.links] == [
+        "world",
+        *(link.name for one in apart for link in one.links[1:]),
+    ]
     joints = [joint for one in apart for joint in one.joints]
     for expected, found in zip(whole.joints, joints, strict=True):
         assert (expected.name, expected.parent, expected.child) == (found.name, found.parent, found.child)

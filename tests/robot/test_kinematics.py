@@ -129,5 +129,7 @@ def test_the_jacobian_is_the_rate_of_the_tcp(robot: Robot, arm: int) -> None:
         for joint, step in enumerate(h * np.eye(len(q))):
             after, before = robot.tcp(arm, q + step), robot.tcp(arm, q - step)
             turn = (after[:3, :3] - before[:3, :3]) / (2 * h) @ robot.tcp(arm, q)[:3, :3].T
-            rate = np.concatenate([(after[:3, 3] - before[:3, 3]) / (2 * h), (turn[2, 1], turn[0, 2], turn[1, 0])])
+            rate = np.concatenate(
+                [(after[:3, 3] - before[:3, 3]) / (2 * h), (turn[2, 1], turn[0, 2], turn[1, 0])]
+            )
             np.testing.assert_allclose(jacobian[:, joint], rate, atol=1e-7)

@@ -42,14 +42,17 @@ def test_shapes_are_where_the_collision_scene_has_them(model: CollisionModel, ar
         qs, openings = np.array(model.robot.home), np.zeros(2)
         qs[arm], openings[arm] = q, opening
         configuration = model.robot.configuration(qs, openings)
-        pin.updateGeometryPlacements(model.robot.model, scene.data, scene.geometry, scene.geometry_data, configuration)
+        pin.updateGeometryPlacements(
+            model.robot.model, scene.data, scene.geometry, scene.geometry_data, configuration
+        )
         places = [scene.geometry_data.oMg[index] for index in mine]
         np.testing.assert_allclose(track.rotations[k], [place.rotation for place in places], atol=1e-12)
         np.testing.assert_allclose(track.origins[k], [place.translation for place in places], atol=1e-12)
 
 
 def test_no_corner_comes_farther_than_the_bound(model: CollisionModel) -> None:
-    """Corners of the boxes around the shapes that lie in the balls around them; the carried piece's among them."""
+    """Corners of the boxes around the shapes that lie in the balls around them; the carried piece's among
+    them."""
     silhouette = Silhouette(model, 0, 0.03, CARRIED)
     track = silhouette.along(somewhere(model, 0, 3))
     signs = 2 * np.indices((2, 2, 2)).reshape(3, -1).T - 1.0
@@ -78,7 +81,9 @@ def test_an_obstacle_is_near_where_one_of_its_places_is(model: CollisionModel) -
     assert 0 < len(obstacle) < 9 * len(other.shapes)  # the base stands still
     rng = np.random.default_rng(0)
     for _ in range(60):
-        placed = mover.at(over(model, 0, (rng.uniform(-0.35, 0.0), rng.uniform(-0.3, 0.3), rng.uniform(0.15, 0.5))))
+        placed = mover.at(
+            over(model, 0, (rng.uniform(-0.35, 0.0), rng.uniform(-0.3, 0.3), rng.uniform(0.15, 0.5)))
+        )
         nearest = min(distance(placed, ghost, 1.0) for ghost in ghosts)
         if abs(nearest - margin) < 0.006:
             continue  # places nearer to each other than 5 mm are one

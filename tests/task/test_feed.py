@@ -1,4 +1,5 @@
-"""The feed: uniform over its areas, at any yaw, apart from each other, at rest, and the same for the same seed."""
+"""The feed: uniform over its areas, at any yaw, apart from each other, at rest, and the same for the same
+seed."""
 
 from __future__ import annotations
 
@@ -83,13 +84,18 @@ def resting_index(pose: Array, poses: Array) -> int:
 def test_every_steady_pose_is_drawn_about_as_often(feeds: list[Feed], soma3: Assembly) -> None:
     for piece in soma3.pieces:
         poses = steady_poses(piece)
-        drawn = np.bincount([resting_index(feed.pose(piece.name), poses) for feed in feeds], minlength=len(poses))
+        drawn = np.bincount(
+            [resting_index(feed.pose(piece.name), poses) for feed in feeds], minlength=len(poses)
+        )
         expected = len(feeds) / len(poses)
-        assert (drawn > 0).all() and ((drawn - expected) ** 2 / expected).sum() < 18.5  # chi-square, 5 dof, 0.25 %
+        assert (drawn > 0).all() and (
+            (drawn - expected) ** 2 / expected
+        ).sum() < 18.5  # chi-square, 5 dof, 0.25 %
 
 
 def test_steady_poses_fall_back(soma3: Assembly) -> None:
-    """Tilted by STEADY_TILT about any edge of what it stands on, the piece's centre of mass is still inside of that edge."""
+    """Tilted by STEADY_TILT about any edge of what it stands on, the piece's centre of mass is still inside
+    of that edge."""
     for piece in soma3.pieces:
         for pose in steady_poses(piece):
             vertices, com = apply(pose, piece.vertices), apply(pose, piece.center_of_mass)
@@ -102,9 +108,13 @@ def test_steady_poses_fall_back(soma3: Assembly) -> None:
                 assert inside > STEADY_MARGIN and inside > height * np.tan(STEADY_TILT)
 
 
-def test_pieces_that_need_a_regrasp_are_counted(feeds: list[Feed], soma3: Assembly, plan: AssemblyPlan, cell: Cell) -> None:
+def test_pieces_that_need_a_regrasp_are_counted(
+    feeds: list[Feed], soma3: Assembly, plan: AssemblyPlan, cell: Cell
+) -> None:
     for feed in feeds[:10]:
-        served = [len(serving_grasps(soma3, plan, cell.arms[0].hand, name, feed.pose(name))) for name in feed.names]
+        served = [
+            len(serving_grasps(soma3, plan, cell.arms[0].hand, name, feed.pose(name))) for name in feed.names
+        ]
         assert feed.regrasps_needed == served.count(0)
 
 
@@ -118,7 +128,8 @@ def test_pieces_keep_apart(feeds: list[Feed], soma3: Assembly) -> None:
 
 
 def test_pieces_lie_at_rest(feeds: list[Feed], soma3: Assembly) -> None:
-    """The real body's lowest points are on the table, and the centre of mass is well above the inside of what they span."""
+    """The real body's lowest points are on the table, and the centre of mass is well above the inside of what
+    they span."""
     for feed in feeds[:10]:
         for piece in soma3.pieces:
             vertices = apply(feed.pose(piece.name), piece.vertices)
@@ -170,15 +181,20 @@ def test_feed_areas_that_are_too_small(
         draw_feed(soma3, plan, tiny, 0)
 
 
-# --- what is perceived and what is there -------------------------------------------------------------------------------
+# --- what is perceived and what is there --------------------------------------------------------------------
 
 
 def test_noise_has_the_sigma_that_was_asked_for(soma3: Assembly, feed: Feed) -> None:
     options = FeedOptions(noise_mm=3.0, noise_deg=2.0)
     real = [misplace(soma3, feed, options, seed) for seed in range(400)]
-    centres = lambda f: np.array([apply(T, p.center_of_mass) for T, p in zip(f.poses, soma3.pieces, strict=True)])  # noqa: E731
+
+    def centres(f: Feed) -> np.ndarray:
+        return np.array([apply(T, p.center_of_mass) for T, p in zip(f.poses, soma3.pieces, strict=True)])
+
     shifts = np.array([centres(r) - centres(feed) for r in real]).reshape(-1, 3)
-    yaws = np.rad2deg([[yaw_of(a, b) for a, b in zip(r.poses, feed.poses, strict=True)] for r in real]).ravel()
+    yaws = np.rad2deg(
+        [[yaw_of(a, b) for a, b in zip(r.poses, feed.poses, strict=True)] for r in real]
+    ).ravel()
     np.testing.assert_allclose(shifts[:, :2].std(axis=0), 3e-3, rtol=0.08)
     np.testing.assert_allclose(shifts[:, :2].mean(axis=0), 0.0, atol=4e-4)
     assert np.abs(shifts[:, 2]).max() < 1e-15
@@ -190,15 +206,22 @@ def test_noise_has_the_sigma_that_was_asked_for(soma3: Assembly, feed: Feed) -> 
 def test_uniform_errors_fill_the_disc_and_end_at_its_rim(soma3: Assembly, feed: Feed) -> None:
     options = FeedOptions(noise_mm=1.0, noise_deg=2.0, errors="uniform")
     real = [misplace(soma3, feed, options, seed) for seed in range(400)]
-    centres = lambda f: np.array([apply(T, p.center_of_mass) for T, p in zip(f.poses, soma3.pieces, strict=True)])  # noqa: E731
+
+    def centres(f: Feed) -> np.ndarray:
+        return np.array([apply(T, p.center_of_mass) for T, p in zip(f.poses, soma3.pieces, strict=True)])
+
     radii = np.linalg.norm([centres(r) - centres(feed) for r in real], axis=2).ravel()
-    yaws = np.rad2deg([[yaw_of(a, b) for a, b in zip(r.poses, feed.poses, strict=True)] for r in real]).ravel()
+    yaws = np.rad2deg(
+        [[yaw_of(a, b) for a, b in zip(r.poses, feed.poses, strict=True)] for r in real]
+    ).ravel()
     assert 0.97e-3 < radii.max() <= 1e-3 and 1.95 < np.abs(yaws).max() <= 2.0
     np.testing.assert_allclose(np.mean(radii < 0.5e-3), 0.25, atol=0.05)  # a quarter of the area
     assert yaws.std() == pytest.approx(2.0 / np.sqrt(3.0), rel=0.05)
 
 
-def test_a_hand_makes_room_for_the_largest_uniform_error(soma3: Assembly, plan: AssemblyPlan, cell: Cell) -> None:
+def test_a_hand_makes_room_for_the_largest_uniform_error(
+    soma3: Assembly, plan: AssemblyPlan, cell: Cell
+) -> None:
     options = FeedOptions(noise_mm=1.0, noise_deg=2.0, errors="uniform")
     uniform = draw_feed(soma3, plan, cell, 0, options)
     for piece in soma3.pieces:

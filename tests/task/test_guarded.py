@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from soma_bullet.assembly.file import load_assembly
+from soma_bullet.assembly.hulls import Hull
 from soma_bullet.assembly.separation import swept_separation
 from soma_bullet.frames import Array
 from soma_bullet.planner.store import kept_plan
@@ -22,15 +23,28 @@ def test_it_is_what_samples_along_the_way_say(name: str, cell: Cell) -> None:
     workcell, plan = Workcell(assembly, cell), kept_plan(assembly, cell.arms[0].hand)
     for k, step in enumerate(plan.steps):
         standing = {s.piece: workcell.settled[s.piece] for s in plan.steps[:k]}
-        body = lambda n: [part.moved(workcell.settled[n]) for part in assembly.pieces[assembly.index(n)].body_parts]  # noqa: E731
-        moving, fixed, away = body(step.piece), [part for n in standing for part in body(n)], -np.array(step.direction)
+
+        def body(n: str) -> list[Hull]:
+            return [part.moved(workcell.settled[n]) for part in assembly.pieces[assembly.index(n)].body_parts]
+
+        moving, fixed, away = (
+            body(step.piece),
+            [part for n in standing for part in body(n)],
+            -np.array(step.direction),
+        )
         length = step.way + RUN_IN
         last = last_near(moving, away, length, fixed)
         for s in np.arange(0.0, length, 1e-3):
-            gap = swept_separation([part.moved(_shift(s * away)) for part in moving], np.zeros(3), fixed) if fixed else np.inf
+            gap = (
+                swept_separation([part.moved(_shift(s * away)) for part in moving], np.zeros(3), fixed)
+                if fixed
+                else np.inf
+            )
             assert gap >= NEAR - 1e-9 or s <= last + 1e-9
         guarded = guarded_length(workcell, step.piece, np.array(step.direction), length, standing)
-        assert max(PLACE, min(last + BEFORE, length - FREE)) <= guarded + 1e-9 and PLACE <= guarded <= max(PLACE, length - FREE)
+        assert max(PLACE, min(last + BEFORE, length - FREE)) <= guarded + 1e-9 and PLACE <= guarded <= max(
+            PLACE, length - FREE
+        )
 
 
 def _shift(by: Array) -> Array:
@@ -44,4 +58,7 @@ def test_a_peg_is_guarded_in_its_hole(cell: Cell) -> None:
     workcell, plan = Workcell(assembly, cell), kept_plan(assembly, cell.arms[0].hand)
     step = plan.steps[-1]
     standing = {s.piece: workcell.settled[s.piece] for s in plan.steps[:-1]}
-    assert guarded_length(workcell, step.piece, np.array(step.direction), step.way + RUN_IN, standing) > 2 * PLACE
+    assert (
+        guarded_length(workcell, step.piece, np.array(step.direction), step.way + RUN_IN, standing)
+        > 2 * PLACE
+    )

@@ -1,4 +1,5 @@
-"""Arms that move at the same time: nothing may depend on when, and what is let happen together is free in every combination."""
+"""Arms that move at the same time: nothing may depend on when, and what is let happen together is free in
+every combination."""
 
 from __future__ import annotations
 
@@ -23,8 +24,12 @@ RANDOM = 10  # seed of random poses from which BigL had better be fetched before
 
 @pytest.fixture(scope="module", params=["preferred poses", "random poses"])
 def program(request: pytest.FixtureRequest, workcell: Workcell, plan: AssemblyPlan) -> Program:
-    seed, options = (0, FeedOptions(poses="preferred")) if request.param == "preferred poses" else (RANDOM, FeedOptions())
-    return make_program(workcell, plan, draw_feed(workcell.assembly, plan, workcell.cell, seed, options), seed)
+    seed, options = (
+        (0, FeedOptions(poses="preferred")) if request.param == "preferred poses" else (RANDOM, FeedOptions())
+    )
+    return make_program(
+        workcell, plan, draw_feed(workcell.assembly, plan, workcell.cell, seed, options), seed
+    )
 
 
 @pytest.fixture(scope="module")
@@ -63,15 +68,25 @@ def whole(program: Program, arm: int) -> list[Segment]:
 def test_each_arm_does_the_same(program: Program, loosened: Program) -> None:
     for arm in (0, 1):
         for one, other in zip(whole(program, arm), whole(loosened, arm), strict=True):
-            assert (one.kind, one.step, one.piece, one.duration) == (other.kind, other.step, other.piece, other.duration)
+            assert (one.kind, one.step, one.piece, one.duration) == (
+                other.kind,
+                other.step,
+                other.piece,
+                other.duration,
+            )
             assert np.array_equal(one.opening, other.opening, equal_nan=True)
             if len(one.path):
                 np.testing.assert_array_equal(one.path[-1], other.path[-1])
-        np.testing.assert_array_equal(*([s for s in p.segments if s.arm == arm][-1].path[-1] for p in (program, loosened)))
+        np.testing.assert_array_equal(
+            *([s for s in p.segments if s.arm == arm][-1].path[-1] for p in (program, loosened))
+        )
 
 
-def test_paths_go_on_where_the_one_before_ended(workcell: Workcell, moments: list[tuple[Context, Segment]]) -> None:
-    """Also where a path is divided, or where an arm does not go home: there are no jumps, at the limits of the joints."""
+def test_paths_go_on_where_the_one_before_ended(
+    workcell: Workcell, moments: list[tuple[Context, Segment]]
+) -> None:
+    """Also where a path is divided, or where an arm does not go home: there are no jumps, at the limits of
+    the joints."""
     for before, segment in moments:
         if len(segment.path) > 1:
             limits = workcell.robot.arm(segment.arm)
@@ -82,8 +97,11 @@ def test_paths_go_on_where_the_one_before_ended(workcell: Workcell, moments: lis
             assert (at_ends <= 2 * DT * limits.acceleration + 1e-6).all(), segment.kind
 
 
-def test_every_path_is_free_when_its_turn_comes(workcell: Workcell, moments: list[tuple[Context, Segment]]) -> None:
-    """Segments that run one at a time, in their order, meet nothing, wherever the other arm waits meanwhile."""
+def test_every_path_is_free_when_its_turn_comes(
+    workcell: Workcell, moments: list[tuple[Context, Segment]]
+) -> None:
+    """Segments that run one at a time, in their order, meet nothing, wherever the other arm waits
+    meanwhile."""
     for before, segment in moments:
         if segment.kind in AROUND:
             first = float(before.hands.openings[segment.arm])
@@ -102,7 +120,10 @@ def test_straight_lines_are_free_wherever_the_other_arm_waits(
         if segment.kind in SPEEDS:
             scene = scene_of(workcell, before, segment.arm)
             for q in segment.path[::24]:
-                assert not scene.collides(workcell.configuration(before.hands, segment.arm, q)), (segment.kind, segment.piece)
+                assert not scene.collides(workcell.configuration(before.hands, segment.arm, q)), (
+                    segment.kind,
+                    segment.piece,
+                )
 
 
 def test_fetches_come_first_where_that_is_quicker(
@@ -128,7 +149,9 @@ def test_an_arm_does_one_thing_at_a_time(loosened: Program) -> None:
 def test_the_assembly_is_changed_in_order(moments: list[tuple[Context, Segment]], loosened: Program) -> None:
     before = ancestors(loosened)
     changes = [j for j, (_, s) in enumerate(moments) if s.kind == "place"]
-    changes += [j for j, (c, s) in enumerate(moments) if s.kind in ("settle", "release") and s.piece in c.placed]
+    changes += [
+        j for j, (c, s) in enumerate(moments) if s.kind in ("settle", "release") and s.piece in c.placed
+    ]
     for j in changes:
         assert {i for i in changes if i < j} <= before[j]
 
@@ -158,7 +181,13 @@ def test_what_may_overlap_is_free_in_every_combination(
                     openings[segment.arm] = context.hands.openings[segment.arm]
                 near = scene.colliding(workcell.robot.configuration(qs, openings))
                 between = [n for n in near if n[0].startswith("left") != n[1].startswith("left")]
-                assert not [n for n in between if not {n[0], n[1]} & {"table", "stand"}], (i, j, early.kind, late.kind, near)
+                assert not [n for n in between if not {n[0], n[1]} & {"table", "stand"}], (
+                    i,
+                    j,
+                    early.kind,
+                    late.kind,
+                    near,
+                )
                 checked += 1
     assert checked > 200
 

@@ -1,4 +1,5 @@
-"""The program: one motion after another without a jump, within every limit, clear of everything, replanned from anywhere."""
+"""The program: one motion after another without a jump, within every limit, clear of everything, replanned
+from anywhere."""
 
 from __future__ import annotations
 
@@ -45,17 +46,21 @@ def assert_straight(workcell: Workcell, segment: Segment) -> None:
     np.testing.assert_allclose(travel[-1], segment.offset, atol=5e-6)
     assert np.linalg.norm(travel - np.outer(travel @ along, along), axis=1).max() < 2e-5
     assert np.diff(travel @ along).min() > -1e-7
-    np.testing.assert_allclose(poses[:, :3, :3], np.broadcast_to(poses[0, :3, :3], poses[:, :3, :3].shape), atol=1e-4)
+    np.testing.assert_allclose(
+        poses[:, :3, :3], np.broadcast_to(poses[0, :3, :3], poses[:, :3, :3].shape), atol=1e-4
+    )
 
 
-# --- order and continuity ----------------------------------------------------------------------------------------------
+# --- order and continuity -----------------------------------------------------------------------------------
 
 
 def test_every_piece_goes_through_every_stage(program: Program, plan: AssemblyPlan) -> None:
     for step, piece in enumerate(plan.order):
         mine = [s for s in program.segments if s.step == step]
         assert [s.kind for s in mine[: len(STEP)]] == STEP
-        assert all((s.piece, s.arm) == (piece, program.schedule.assignments[step].arm) for s in mine[: len(STEP)])
+        assert all(
+            (s.piece, s.arm) == (piece, program.schedule.assignments[step].arm) for s in mine[: len(STEP)]
+        )
         rest = [s.kind for s in mine[len(STEP) :]]
         releases = len(program.schedule.assignments[step].releases)
         changes = [kind for kind in rest if kind != "follow"]
@@ -65,7 +70,8 @@ def test_every_piece_goes_through_every_stage(program: Program, plan: AssemblyPl
 
 
 def test_what_is_held_on_a_piece_follows_when_that_is_let_go(program: Program, workcell: Workcell) -> None:
-    """In soma3 each piece stands on the one before: whoever holds the upper one then lets it down, and nobody else does."""
+    """In soma3 each piece stands on the one before: whoever holds the upper one then lets it down, and nobody
+    else does."""
     follows = [k for k, s in enumerate(program.segments) if s.kind == "follow"]
     held = {}
     for k, segment in enumerate(program.segments):
@@ -106,7 +112,8 @@ def test_both_arms_end_at_home_with_empty_hands(program: Program, workcell: Work
 def test_an_insertion_ends_at_the_goal(program: Program, workcell: Workcell) -> None:
     for a in program.schedule.assignments:
         insert, place = (
-            next(s for s in program.segments if (s.kind, s.step) == (kind, a.step)) for kind in ("insert", "place")
+            next(s for s in program.segments if (s.kind, s.step) == (kind, a.step))
+            for kind in ("insert", "place")
         )
         np.testing.assert_allclose(insert.path[0], a.q_ready, atol=1e-6)
         np.testing.assert_allclose(place.path[-1], a.q_goal, atol=1e-6)
@@ -115,7 +122,7 @@ def test_an_insertion_ends_at_the_goal(program: Program, workcell: Workcell) -> 
         assert place.guard > 0 and insert.guard == 0
 
 
-# --- limits ------------------------------------------------------------------------------------------------------------
+# --- limits -------------------------------------------------------------------------------------------------
 
 
 def test_joints_keep_their_ranges_and_speeds(program: Program, workcell: Workcell) -> None:
@@ -148,10 +155,12 @@ def test_motions_start_and_end_at_rest(program: Program, workcell: Workcell) -> 
 
 
 def test_makespan_is_the_sum_of_the_segments(program: Program) -> None:
-    assert program.makespan == pytest.approx(sum(s.duration + max(0, len(s.path) - 1) * DT for s in program.segments))
+    assert program.makespan == pytest.approx(
+        sum(s.duration + max(0, len(s.path) - 1) * DT for s in program.segments)
+    )
 
 
-# --- clear of everything -----------------------------------------------------------------------------------------------
+# --- clear of everything ------------------------------------------------------------------------------------
 
 
 def test_arms_never_meet_each_other_or_the_table(program: Program, workcell: Workcell) -> None:
@@ -175,11 +184,15 @@ def test_pieces_in_place_stay_clear_of_empty_hands(program: Program, workcell: W
     gripped: dict[int, str] = {}
     for _, segment, qs in states(program, workcell):
         if segment.kind in ("transit", "home"):
-            poses = {n: workcell.settled[n] if n in placed else program.feed.pose(n) for n in program.feed.names}
+            poses = {
+                n: workcell.settled[n] if n in placed else program.feed.pose(n) for n in program.feed.names
+            }
             now = Hands(qs, hands.openings, dict(gripped))
             scene = workcell.scene(poses, now, segment.arm)
             for q in segment.path[:: round(0.05 / DT)]:
-                assert not scene.collides(workcell.configuration(now, segment.arm, q, segment.opening)), segment.kind
+                assert not scene.collides(workcell.configuration(now, segment.arm, q, segment.opening)), (
+                    segment.kind
+                )
         if segment.kind == "grasp":
             gripped[segment.arm] = segment.piece
             hands = hands.with_arm(segment.arm, qs[segment.arm], segment.width)
@@ -191,7 +204,7 @@ def test_pieces_in_place_stay_clear_of_empty_hands(program: Program, workcell: W
             hands = hands.with_arm(segment.arm, qs[segment.arm], segment.opening)
 
 
-# --- files and seeds ---------------------------------------------------------------------------------------------------
+# --- files and seeds ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -205,7 +218,7 @@ def test_the_same_seed_makes_the_same_bytes(
     assert first == second == third
 
 
-# --- planning on from measured joints ----------------------------------------------------------------------------------
+# --- planning on from measured joints -----------------------------------------------------------------------
 
 
 def perturbed(qs: Array, arm: int, size: float, seed: int = 0) -> Array:
@@ -218,7 +231,9 @@ def perturbed(qs: Array, arm: int, size: float, seed: int = 0) -> Array:
 @pytest.mark.parametrize("kind", ["retreat", "lift", "place", "insert"])
 def test_a_line_is_made_anew_from_where_the_arm_is(kind: str, program: Program, workcell: Workcell) -> None:
     size = 1e-3 if kind == "retreat" else 2e-4
-    for k, segment, qs in itertools.islice(((k, s, q) for k, s, q in states(program, workcell) if s.kind == kind), 2):
+    for k, segment, qs in itertools.islice(
+        ((k, s, q) for k, s, q in states(program, workcell) if s.kind == kind), 2
+    ):
         measured = perturbed(qs, segment.arm, size)
         made = replan(workcell, program, k, measured)
         assert (made.path[0] == measured[segment.arm]).all()
@@ -251,8 +266,16 @@ def _limits(workcell: Workcell, arm: int) -> tuple[Array, Array]:
 def test_what_cannot_be_made_from_there_says_so(program: Program, workcell: Workcell) -> None:
     k, segment, qs = next((k, s, q) for k, s, q in states(program, workcell) if s.kind == "lift")
     stretched = qs.copy()
-    stretched[segment.arm] = (0.0, -np.pi / 2, 0.0, 0.0, 0.0, 0.0)  # straight up: 60 mm higher is out of reach
+    stretched[segment.arm] = (
+        0.0,
+        -np.pi / 2,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )  # straight up: 60 mm higher is out of reach
     with pytest.raises(
-        NoSolutionError, match=f"{segment.piece}: lift cannot be made from the measured joints: (unreachable|branch)"
+        NoSolutionError,
+        match=f"{segment.piece}: lift cannot be made from the measured joints: (unreachable|branch)",
     ):
         replan(workcell, program, k, stretched)

@@ -1,4 +1,5 @@
-"""Programs that go on from a state as found: from any moment of another program, also with arms and pieces elsewhere."""
+"""Programs that go on from a state as found: from any moment of another program, also with arms and pieces
+elsewhere."""
 
 from __future__ import annotations
 
@@ -73,13 +74,17 @@ def assert_goes_on(workcell: Workcell, program: Program, start: Start) -> None:
         ("retreat", "smallL"),
     ],
 )
-def test_goes_on_from_anywhere(kind: str, piece: str, workcell: Workcell, plan: AssemblyPlan, program: Program) -> None:
+def test_goes_on_from_anywhere(
+    kind: str, piece: str, workcell: Workcell, plan: AssemblyPlan, program: Program
+) -> None:
     start = after(workcell, program, kind, piece)
     assert_goes_on(workcell, recover_program(workcell, plan, start, 5), start)
 
 
 @pytest.mark.parametrize("square", [True, False])
-def test_pieces_are_squared_as_before(square: bool, workcell: Workcell, plan: AssemblyPlan, program: Program) -> None:
+def test_pieces_are_squared_as_before(
+    square: bool, workcell: Workcell, plan: AssemblyPlan, program: Program
+) -> None:
     """What lies where an inexact camera saw it is squared, unless the episode goes without."""
     start = after(workcell, program, "transit", "smallL")
     made = recover_program(workcell, plan, start, 0, noise=(0.5, 0.5), square=square)
@@ -87,13 +92,22 @@ def test_pieces_are_squared_as_before(square: bool, workcell: Workcell, plan: As
     assert bool(squared) == square
 
 
-def test_a_piece_in_the_hand_goes_straight_in(workcell: Workcell, plan: AssemblyPlan, program: Program) -> None:
+def test_a_piece_in_the_hand_goes_straight_in(
+    workcell: Workcell, plan: AssemblyPlan, program: Program
+) -> None:
     made = recover_program(workcell, plan, after(workcell, program, "transfer", "BigL"), 0)
-    assert [s.kind for s in made.segments if s.piece == "BigL"][:4] == ["transfer", "insert", "place", "settle"]
+    assert [s.kind for s in made.segments if s.piece == "BigL"][:4] == [
+        "transfer",
+        "insert",
+        "place",
+        "settle",
+    ]
     assert made.schedule.assignments[0].in_hand
 
 
-def test_a_piece_that_sits_wrong_in_the_hand_is_gripped_anew(workcell: Workcell, plan: AssemblyPlan, program: Program) -> None:
+def test_a_piece_that_sits_wrong_in_the_hand_is_gripped_anew(
+    workcell: Workcell, plan: AssemblyPlan, program: Program
+) -> None:
     start = after(workcell, program, "transfer", "Z")
     (carried,) = start.carrying
     turned = make_transform(rotation_about((1, 0, 0), np.deg2rad(20.0))) @ carried.T_tcp_piece
@@ -104,7 +118,9 @@ def test_a_piece_that_sits_wrong_in_the_hand_is_gripped_anew(workcell: Workcell,
     assert made.schedule.assignments[0].regrasps
 
 
-def test_a_piece_whose_turn_is_later_is_put_down(workcell: Workcell, plan: AssemblyPlan, program: Program) -> None:
+def test_a_piece_whose_turn_is_later_is_put_down(
+    workcell: Workcell, plan: AssemblyPlan, program: Program
+) -> None:
     start = after(workcell, program, "transfer", "Z")
     (carried,) = start.carrying
     last = plan.order[-1]
@@ -118,7 +134,9 @@ def test_a_piece_whose_turn_is_later_is_put_down(workcell: Workcell, plan: Assem
     assert_goes_on(workcell, made, start)
 
 
-def test_a_hold_that_was_lost_is_taken_up_again(workcell: Workcell, plan: AssemblyPlan, program: Program) -> None:
+def test_a_hold_that_was_lost_is_taken_up_again(
+    workcell: Workcell, plan: AssemblyPlan, program: Program
+) -> None:
     """Z stands, nothing holds it, and the plan wants it held: a free hand takes it before the next step."""
     start = after(workcell, program, "place", "Z")
     idle = replace(workcell.idle(), gripped={})
@@ -133,7 +151,9 @@ def test_a_hold_that_was_lost_is_taken_up_again(workcell: Workcell, plan: Assemb
     assert_goes_on(workcell, made, start)
 
 
-def test_pieces_as_found_are_obstacles_and_are_picked_there(workcell: Workcell, plan: AssemblyPlan, program: Program) -> None:
+def test_pieces_as_found_are_obstacles_and_are_picked_there(
+    workcell: Workcell, plan: AssemblyPlan, program: Program
+) -> None:
     start = after(workcell, program, "place", "Z")
     moved = translate(start.poses["BigL"], (0.02, -0.015, 0.0))
     shifted = translate(start.poses["Z"], (0.0005, 0.0, 0.0))  # within what counts as in place
@@ -155,7 +175,9 @@ def test_the_same_start_makes_the_same_bytes(
     assert len({(folder / f"{name}.npz").read_bytes() for name in ("one", "two", "three")}) == 1
 
 
-def test_a_piece_off_the_table_is_out_of_reach(workcell: Workcell, plan: AssemblyPlan, program: Program, cell: Cell) -> None:
+def test_a_piece_off_the_table_is_out_of_reach(
+    workcell: Workcell, plan: AssemblyPlan, program: Program, cell: Cell
+) -> None:
     start = after(workcell, program, "place", "Z")
     start = replace(start, poses={**start.poses, "BigL": translate(start.poses["BigL"], (0.0, 2.0, 0.0))})
     with pytest.raises(NoSolutionError, match="BigL cannot be picked where it is"):
@@ -166,8 +188,11 @@ def test_a_piece_off_the_table_is_out_of_reach(workcell: Workcell, plan: Assembl
 def test_of_two_pieces_in_hands_the_later_is_put_down(
     seed: int, workcell: Workcell, soma3: Assembly, plan: AssemblyPlan, cell: Cell
 ) -> None:
-    """While one piece is on its way to its place the other arm has fetched the next; then all is planned anew."""
-    program = overlapped(workcell, make_program(workcell, plan, draw_feed(soma3, plan, cell, seed, FeedOptions()), 0))
+    """While one piece is on its way to its place the other arm has fetched the next; then all is planned
+    anew."""
+    program = overlapped(
+        workcell, make_program(workcell, plan, draw_feed(soma3, plan, cell, seed, FeedOptions()), 0)
+    )
     starts = [found(context) for _, _, context in contexts(workcell, program)]
     both = [start for start in starts if len({carried.piece for carried in start.carrying}) == 2]
     assert both
@@ -187,10 +212,14 @@ def test_a_piece_that_cannot_be_put_down_where_planned_is_put_down_elsewhere(
     """What the motions rule out is not proposed again."""
     start = after(workcell, program, "lift", plan.order[1])
     (carried,) = start.carrying
-    hands = workcell.idle().with_arm(carried.arm, start.hands.qs[carried.arm], float(start.hands.openings[carried.arm]))
+    hands = workcell.idle().with_arm(
+        carried.arm, start.hands.qs[carried.arm], float(start.hands.openings[carried.arm])
+    )
     start = replace(start, step=0, hands=hands, poses={**start.poses, "Z": program.feed.pose("Z")})
     names = workcell.assembly.names
-    scheduler = Scheduler(workcell, plan, Feed(names, np.array([start.poses[name] for name in names]), 0, 0, 0), start)
+    scheduler = Scheduler(
+        workcell, plan, Feed(names, np.array([start.poses[name] for name in names]), 0, 0, 0), start
+    )
     places = []
     for _ in range(3):
         assignment = scheduler.find().assignments[0]

@@ -1,4 +1,5 @@
-"""Regrasps: put-downs end at rest, hands that meet keep apart, and the program of it all joins up and is clear."""
+"""Regrasps: put-downs end at rest, hands that meet keep apart, and the program of it all joins up and is
+clear."""
 
 from __future__ import annotations
 
@@ -57,10 +58,12 @@ def case(request: pytest.FixtureRequest) -> tuple[Workcell, AssemblyPlan, Progra
     return found
 
 
-# --- the graph -----------------------------------------------------------------------------------------------------------
+# --- the graph ----------------------------------------------------------------------------------------------
 
 
-def test_searches_of_a_plan_share_the_graph(soma3: Assembly, put_down: tuple[Workcell, AssemblyPlan, Program]) -> None:
+def test_searches_of_a_plan_share_the_graph(
+    soma3: Assembly, put_down: tuple[Workcell, AssemblyPlan, Program]
+) -> None:
     workcell, plan, _ = put_down
     hand, tables = workcell.cell.arms[0].hand, [grasp_table(plan, name) for name in soma3.names]
     graphs = [grasp_graph(piece, table, hand) for piece, table in zip(soma3.pieces, tables, strict=True)]
@@ -70,7 +73,9 @@ def test_searches_of_a_plan_share_the_graph(soma3: Assembly, put_down: tuple[Wor
     assert wider is not graphs[0] and wider.hand.opening == 2 * hand.opening
 
 
-def test_hands_together_is_mutual_and_never_with_oneself(soma3: Assembly, plan: AssemblyPlan, cell: Cell) -> None:
+def test_hands_together_is_mutual_and_never_with_oneself(
+    soma3: Assembly, plan: AssemblyPlan, cell: Cell
+) -> None:
     graph = GraspGraph(soma3.pieces[0], grasp_table(plan, soma3.names[0]), cell.arms[0].hand)
     picked = range(0, len(graph.widths), 61)
     for a, b in itertools.product(picked, picked):
@@ -99,13 +104,15 @@ def test_the_nearest_grasp_is_itself(soma3: Assembly, plan: AssemblyPlan, cell: 
         assert np.allclose(graph.poses[found][:3, 3], graph.poses[k][:3, 3]) and off < 1e-9 and turned < 1e-6
 
 
-# --- schedules and programs with regrasps --------------------------------------------------------------------------------
+# --- schedules and programs with regrasps -------------------------------------------------------------------
 
 
 def test_both_kinds_occur(
     put_down: tuple[Workcell, AssemblyPlan, Program], handed_over: tuple[Workcell, AssemblyPlan, Program]
 ) -> None:
-    kinds = [[type(r) for a in c[2].schedule.assignments for r in a.regrasps] for c in (put_down, handed_over)]
+    kinds = [
+        [type(r) for a in c[2].schedule.assignments for r in a.regrasps] for c in (put_down, handed_over)
+    ]
     assert PutDown in kinds[0] and HandOver in kinds[1]
 
 
@@ -137,7 +144,9 @@ def test_a_regrasp_leads_to_the_grasp_that_goes_in(case: tuple[Workcell, Assembl
         expected = program.feed.pose(a.piece) if not prepared else prepared[-1].pose_down
         if isinstance(last, HandOver):
             expected = last.pose_met
-            np.testing.assert_allclose(workcell.robot.tcp(last.receiver, last.q_take) @ inverse(grasp), expected, atol=2e-6)
+            np.testing.assert_allclose(
+                workcell.robot.tcp(last.receiver, last.q_take) @ inverse(grasp), expected, atol=2e-6
+            )
         np.testing.assert_allclose(picked, expected, atol=2e-6)
 
 
@@ -150,7 +159,10 @@ def test_hands_that_meet_keep_apart(handed_over: tuple[Workcell, AssemblyPlan, P
             scene = workcell.collision.scene(Situation(poses, frozenset({0, 1})))
             q = workcell.robot.configuration(after.hands.qs, after.hands.openings)
             assert not scene.collides(q)
-            places = [workcell.robot.tcp(arm, after.hands.qs[arm]) @ T for arm, (_, T) in sorted(after.carried.items())]
+            places = [
+                workcell.robot.tcp(arm, after.hands.qs[arm]) @ T
+                for arm, (_, T) in sorted(after.carried.items())
+            ]
             np.testing.assert_allclose(places[0], places[1], atol=1e-5)
             count += 1
     assert count == sum(isinstance(r, HandOver) for a in program.schedule.assignments for r in a.regrasps)
@@ -189,7 +201,9 @@ def test_everything_ends_in_place(case: tuple[Workcell, AssemblyPlan, Program]) 
     assert after.hands.gripped == {} and after.carried == {}
 
 
-def test_a_program_with_regrasps_is_read_back(case: tuple[Workcell, AssemblyPlan, Program], tmp_path: Path) -> None:
+def test_a_program_with_regrasps_is_read_back(
+    case: tuple[Workcell, AssemblyPlan, Program], tmp_path: Path
+) -> None:
     write_npz(case[2], tmp_path / "one.npz")
     write_npz(read_npz(Program, tmp_path / "one.npz"), tmp_path / "two.npz")
     assert (tmp_path / "one.npz").read_bytes() == (tmp_path / "two.npz").read_bytes()
@@ -213,6 +227,8 @@ def test_a_fresh_process_makes_the_same_bytes(which: tuple[str, int], tmp_path: 
     for k in range(2):
         file = tmp_path / f"{k}.npz"
         arguments = [sys.executable, "-c", FRESH, which[0], str(which[1]), str(file)]
-        subprocess.run(arguments, check=True, env={"PYTHONHASHSEED": str(k + 1), "PYTHONPATH": ".", "PATH": ""})
+        subprocess.run(
+            arguments, check=True, env={"PYTHONHASHSEED": str(k + 1), "PYTHONPATH": ".", "PATH": ""}
+        )
         digests.add(hashlib.sha256(file.read_bytes()).hexdigest())
     assert len(digests) == 1

@@ -1,4 +1,5 @@
-"""The schedule: grasps that the plan allows, two hands that take turns, holds with evidence, releases that let nothing fall."""
+"""The schedule: grasps that the plan allows, two hands that take turns, holds with evidence, releases that
+let nothing fall."""
 
 from __future__ import annotations
 
@@ -34,7 +35,9 @@ def scheduled(workcell: Workcell, plan: AssemblyPlan) -> dict[int, tuple[Feed, S
 
 
 @pytest.fixture(params=SEEDS)
-def case(request: pytest.FixtureRequest, scheduled: dict[int, tuple[Feed, Schedule]]) -> tuple[Feed, Schedule]:
+def case(
+    request: pytest.FixtureRequest, scheduled: dict[int, tuple[Feed, Schedule]]
+) -> tuple[Feed, Schedule]:
     return scheduled[request.param]
 
 
@@ -91,7 +94,9 @@ def test_letting_go_lets_nothing_fall(case: tuple[Feed, Schedule], soma3: Assemb
         assert held == set(a.holds)
 
 
-def test_joints_reach_what_they_are_for(case: tuple[Feed, Schedule], plan: AssemblyPlan, workcell: Workcell) -> None:
+def test_joints_reach_what_they_are_for(
+    case: tuple[Feed, Schedule], plan: AssemblyPlan, workcell: Workcell
+) -> None:
     feed, schedule = case
     for a in schedule.assignments:
         grasp, tcp = grasp_poses(plan, a.piece)[0][a.grasp], lambda q, arm=a.arm: workcell.robot.tcp(arm, q)
@@ -101,7 +106,14 @@ def test_joints_reach_what_they_are_for(case: tuple[Feed, Schedule], plan: Assem
         np.testing.assert_allclose(tcp(a.q_before)[:3, 3], pick[:3, 3] - APPROACH * pick[:3, 2], atol=2e-6)
         np.testing.assert_allclose(tcp(a.q_lifted)[:3, 3], pick[:3, 3] + (0, 0, LIFT), atol=2e-6)
         np.testing.assert_allclose(tcp(a.q_ready)[:3, 3], goal[:3, 3] - a.length * a.direction, atol=2e-6)
-        for q in (a.q_before, a.q_pick, a.q_lifted, a.q_ready, a.q_goal, *(r.q_end for r in a.releases if r.arm == a.arm)):
+        for q in (
+            a.q_before,
+            a.q_pick,
+            a.q_lifted,
+            a.q_ready,
+            a.q_goal,
+            *(r.q_end for r in a.releases if r.arm == a.arm),
+        ):
             arm = workcell.robot.arm(a.arm)
             assert (q >= arm.lower).all() and (q <= arm.upper).all()
 
@@ -145,14 +157,20 @@ def test_a_piece_out_of_reach(workcell: Workcell, plan: AssemblyPlan, feed: Feed
 def test_pieces_are_laid_down_where_the_search_comes_farther(
     workcell: Workcell, plan: AssemblyPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Z not being handed over, BigL can only be brought to it from some places, and smallL then lies badly as well."""
+    """Z not being handed over, BigL can only be brought to it from some places, and smallL then lies badly as
+    well."""
     monkeypatch.setattr(search, "BRIEF", ())
     scheduler = Scheduler(workcell, plan, draw_feed(workcell.assembly, plan, workcell.cell, 2001))
     schedule = scheduler.find()
     moved = [regrasp for a in schedule.assignments for regrasp in a.regrasps if isinstance(regrasp, PutDown)]
     assert [regrasp.piece for regrasp in moved] == ["BigL", "smallL"]
     scheduler.rule_out(schedule.assignments[0], moved[0])
-    other = [regrasp for a in scheduler.find().assignments for regrasp in a.regrasps if isinstance(regrasp, PutDown)]
+    other = [
+        regrasp
+        for a in scheduler.find().assignments
+        for regrasp in a.regrasps
+        if isinstance(regrasp, PutDown)
+    ]
     assert all(not np.allclose(regrasp.pose_down, moved[0].pose_down) for regrasp in other)
 
 

@@ -43,7 +43,9 @@ def test_every_piece_is_squared_across_its_grasp(noisy: Program, workcell: Workc
         off = noisy.feed.off(workcell.assembly.pieces[workcell.assembly.index(a.piece)])
         assert off > 1.5e-3
         for width, opened in ((square.width, square.opened), (a.width, a.opened)):
-            assert opened == pytest.approx(min(width + 2 * (OPENING + off), workcell.cell.arms[a.arm].hand.opening))
+            assert opened == pytest.approx(
+                min(width + 2 * (OPENING + off), workcell.cell.arms[a.arm].hand.opening)
+            )
 
 
 def test_its_segments(noisy: Program, workcell: Workcell) -> None:
@@ -57,7 +59,9 @@ def test_its_segments(noisy: Program, workcell: Workcell) -> None:
             assert segment.arm not in after.carried and segment.arm not in after.hands.gripped
 
 
-def test_it_is_the_same_again_and_is_read_back(noisy: Program, workcell: Workcell, plan: AssemblyPlan, tmp_path: Path) -> None:
+def test_it_is_the_same_again_and_is_read_back(
+    noisy: Program, workcell: Workcell, plan: AssemblyPlan, tmp_path: Path
+) -> None:
     again = make_program(workcell, plan, noisy.feed, 0)
     assert [s.path.tobytes() for s in again.segments] == [s.path.tobytes() for s in noisy.segments]
     write_npz(noisy, tmp_path / "program.npz")
@@ -76,5 +80,9 @@ def test_squeezing_hands_touch_the_outermost_points(soma3: Assembly, cell: Cell)
                 tcp = pose @ grip.T_piece_tcp
                 assert abs(tcp[:3, 0] @ (1, 0, 0)) < 1e-9 and abs(tcp[2, 0]) < 1e-9
                 across = (piece.vertices @ pose[:3, :3].T + pose[:3, 3] - tcp[:3, 3]) @ tcp[:3, 0]
-                assert across.max() == pytest.approx(grip.width / 2) and across.min() == pytest.approx(-grip.width / 2)
-                assert (sweep_hand(hand, tcp[None], np.array([grip.width])).above(0.0) > 0).all() or abs(tcp[2, 2]) < 0.99
+                assert across.max() == pytest.approx(grip.width / 2) and across.min() == pytest.approx(
+                    -grip.width / 2
+                )
+                assert (sweep_hand(hand, tcp[None], np.array([grip.width])).above(0.0) > 0).all() or abs(
+                    tcp[2, 2]
+                ) < 0.99

@@ -24,8 +24,13 @@ WIDE, TALL = 0.025, 0.1  # [m] of the posts
 
 @pytest.fixture(scope="module")
 def case(cell: Cell) -> tuple[Workcell, AssemblyPlan, Program]:
-    """Three posts beside each other, and a plan that asks for the first to be held while the last one comes."""
-    posts = [box((WIDE, WIDE, TALL), "one"), box((WIDE, WIDE, TALL), "two"), box((WIDE, WIDE, TALL / 2), "three")]
+    """Three posts beside each other, and a plan that asks for the first to be held while the last one
+    comes."""
+    posts = [
+        box((WIDE, WIDE, TALL), "one"),
+        box((WIDE, WIDE, TALL), "two"),
+        box((WIDE, WIDE, TALL / 2), "three"),
+    ]
     whole = assembly(posts, [(-0.06, 0, TALL / 2), (0.06, 0, TALL / 2), (0, 0.06, TALL / 4)])
     plan, workcell = make_plan(whole, cell.arms[0].hand), Workcell(whole, cell)
     name = plan.order[0]
@@ -47,7 +52,9 @@ def test_a_free_hand_takes_it(case: tuple[Workcell, AssemblyPlan, Program]) -> N
     assert take.certificate.margin >= 1
     assert following.arm != take.arm and take.piece in [r.piece for r in following.releases]
     at = workcell.robot.tcp(take.arm, take.q_hold)
-    np.testing.assert_allclose(at, workcell.settled[take.piece] @ grasp_poses(plan, take.piece)[0][take.grasp], atol=2e-6)
+    np.testing.assert_allclose(
+        at, workcell.settled[take.piece] @ grasp_poses(plan, take.piece)[0][take.grasp], atol=2e-6
+    )
 
 
 def test_its_segments(case: tuple[Workcell, AssemblyPlan, Program]) -> None:

@@ -1,4 +1,5 @@
-"""The order in which the options of a step are tried: what lets one arm fetch while the other inserts comes first."""
+"""The order in which the options of a step are tried: what lets one arm fetch while the other inserts comes
+first."""
 
 from __future__ import annotations
 
@@ -21,7 +22,8 @@ Make = Callable[..., Option]
 
 @pytest.fixture
 def make(workcell: Workcell) -> Make:
-    """An option of one arm that fetches at home, or where the other arm has its home turned about the middle of the stand."""
+    """An option of one arm that fetches at home, or where the other arm has its home turned about the middle
+    of the stand."""
     grip = Grip(0, np.eye(4), 0.02, 1.0)
 
     def option(arm: int, cost: float = 0.0, far: bool = False) -> Option:
@@ -52,7 +54,10 @@ def test_arms_take_turns_unless_that_costs_more(workcell: Workcell, make: Make) 
 def test_the_first_option_begins_the_cheapest_sequence(workcell: Workcell, make: Make) -> None:
     rng = np.random.default_rng(3)
     for _ in range(5):
-        options = {k: [make(arm, rng.uniform(0, 4), far) for arm in (0, 1) for far in (False, True)] for k in range(4)}
+        options = {
+            k: [make(arm, rng.uniform(0, 4), far) for arm in (0, 1) for far in (False, True)]
+            for k in range(4)
+        }
         turns = Turns(workcell, options)
 
         def total(sequence: tuple[Option, ...], turns: Turns = turns) -> float:
@@ -76,7 +81,9 @@ def test_options_are_reached_and_free(workcell: Workcell, plan: AssemblyPlan, fe
             np.testing.assert_allclose(workcell.robot.tcp(option.inserter, option.inserting[0]), T, atol=1e-5)
             at_pick = workcell.robot.tcp(option.fetcher, option.fetching[1])
             if option.fetcher == option.inserter:
-                np.testing.assert_allclose(at_pick, feed.pose(step.piece) @ option.grip.T_piece_tcp, atol=1e-5)
+                np.testing.assert_allclose(
+                    at_pick, feed.pose(step.piece) @ option.grip.T_piece_tcp, atol=1e-5
+                )
 
 
 def test_carrying_takes_as_long_as_its_slowest_joint(workcell: Workcell) -> None:

@@ -1,4 +1,5 @@
-"""Motions around obstacles are free all along and at every width of a hand that opens or closes on the way."""
+"""Motions around obstacles are free all along and at every width of a hand that opens or closes on the
+way."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ def test_no_finger_is_thinner_than_the_step(workcell: Workcell) -> None:
 
 
 def test_timed_motions_are_free_at_every_sample_and_width(workcell: Workcell, program: Program) -> None:
-    """Replayed at the simulator's rate in the scene as it is: no swept fingers, no spacing between checked states."""
+    """Replayed at the simulator's rate in the scene as it is: no swept fingers, no spacing between checked
+    states."""
     replayed = 0
     for context, segment, _ in contexts(workcell, program):
         if segment.kind not in ("transit", "transfer", "home"):
@@ -55,7 +57,9 @@ def test_one_check_stands_for_all_widths(workcell: Workcell, program: Program) -
         scene = scene_of(workcell, context, arm)
         collides = collisions(workcell, scene, hands, arm, widths)
         for q in segment.path[rng.integers(len(segment.path), size=60)] + rng.normal(0, 0.08, (60, 6)):
-            some = any(scene.collides(workcell.configuration(hands, arm, q, float(width))) for width in widths)
+            some = any(
+                scene.collides(workcell.configuration(hands, arm, q, float(width))) for width in widths
+            )
             assert collides(q) or not some  # it sees what lies between two widths, too
             seen[some] += 1
     assert min(seen.values()) >= 10, seen
@@ -66,5 +70,7 @@ def test_a_refined_path_keeps_its_points(parts: int) -> None:
     path = np.random.default_rng(0).normal(size=(5, 6))
     fine = refined(path, parts)
     np.testing.assert_array_equal(fine[::parts], path)
-    np.testing.assert_allclose(np.diff(fine, axis=0), np.repeat(np.diff(path, axis=0), parts, axis=0) / parts, atol=1e-12)
+    np.testing.assert_allclose(
+        np.diff(fine, axis=0), np.repeat(np.diff(path, axis=0), parts, axis=0) / parts, atol=1e-12
+    )
     np.testing.assert_array_equal(refined(path[:1], parts), path[:1])

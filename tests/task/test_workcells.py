@@ -33,5 +33,7 @@ def test_what_stands_on_what(name: str, cell: Cell) -> None:
         for below, other in zip(assembly.names, meshes, strict=True):
             if above != below and other.contains(points).any():
                 found.add((below, above))
-    assert found == {(a, b) for a in assembly.names for b in assembly.names if a != b and workcell.carries(a, b)}
+    assert found == {
+        (a, b) for a in assembly.names for b in assembly.names if a != b and workcell.carries(a, b)
+    }
     assert found

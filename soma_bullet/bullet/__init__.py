@@ -1,0 +1,1 @@
+"""PyBullet behind the protocols of `world`; the only folder that imports it."""

@@ -1,1 +1,0 @@
-"""The executive: segments are started, watched, corrected, tried again, or planned anew."""

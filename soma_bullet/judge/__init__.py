@@ -1,0 +1,1 @@
+"""Judges an episode by its log and the assembly, without a simulator."""

@@ -1,0 +1,1 @@
+"""Films, stills, figures and exploded views."""

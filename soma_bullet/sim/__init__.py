@@ -1,1 +1,0 @@
-"""Execution in PyBullet: the world, the hands, the log, the judge, and pictures of it."""
