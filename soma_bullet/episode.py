@@ -8,14 +8,11 @@ from __future__ import annotations
 
 import os
 import time
-from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
@@ -24,8 +21,7 @@ from soma_bullet.bullet.stage import Physics
 from soma_bullet.control.execute import Executor
 from soma_bullet.control.executive import ExecutionOptions, Executive
 from soma_bullet.control.guide import Compliance
-from soma_bullet.errors import InputError, NoSolutionError
-from soma_bullet.grasp.hand import Hand
+from soma_bullet.errors import InputError
 from soma_bullet.judge.judge import Tolerance, judge
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.qualities import PlannerOptions
@@ -35,10 +31,9 @@ from soma_bullet.report.report import EpisodeReport
 from soma_bullet.robot.cell import find_hand, load_cell
 from soma_bullet.robot.model import Cell
 from soma_bullet.task.feed import Feed, FeedOptions, draw_feed, misplace
-from soma_bullet.task.overlap import overlapped
-from soma_bullet.task.program import make_program
-from soma_bullet.task.schedule import Scheduler
-from soma_bullet.task.segments import Program
+from soma_bullet.task.program.orders import SearchOptions, program_of_best_order
+from soma_bullet.task.program.overlap.loosen import overlapped
+from soma_bullet.task.program.program import Program
 from soma_bullet.task.workcell import Workcell
 from soma_bullet.world.log import ExecutionLog
 
@@ -46,11 +41,10 @@ if TYPE_CHECKING:
     from soma_bullet.pictures.film import FilmOptions
 
 Progress = Callable[[str, float], None]  # what is going on, and the fraction of the stage that is done
-ORDERS = 12  # orders that are tried, best first, before the search for a schedule gives up
 POOR, THOROUGH = (
     0.2,
     3.0,
-)  # of the best score: before orders below, the better ones are searched again, so many times longer
+)
 
 
 @dataclass(frozen=True)
@@ -63,6 +57,7 @@ class EpisodeOptions:
         seed: of everything random.
         planner: how orders are judged; its seed is the episode's.
         feed: how the pieces are fed.
+        search: how far schedules are searched.
         execution: how the program is executed.
         physics: how the world is simulated.
         tolerance: of the verdict.
@@ -75,6 +70,7 @@ class EpisodeOptions:
     seed: int = 0
     planner: PlannerOptions = PlannerOptions()
     feed: FeedOptions = FeedOptions()
+    search: SearchOptions = SearchOptions()
     execution: ExecutionOptions = ExecutionOptions()
     physics: Physics = Physics()
     tolerance: Tolerance = Tolerance()
@@ -139,7 +135,14 @@ def run_episode(
             progress("scheduling and planning motions", 0.0)
             workcell = Workcell(model, cell)
             if program is None:
-                plan, program = _plan_and_program(model, workcell, plan, options, progress)
+                plan, program = program_of_best_order(
+                    workcell,
+                    plan,
+                    lambda plan: draw_feed(model, plan, cell, options.seed, options.feed),
+                    options.seed,
+                    options.search,
+                    lambda reason: progress(reason, 0.0),
+                )
                 if options.execution.together:
                     program = overlapped(workcell, program)
         _write(out, "plan.json", plan)
@@ -192,8 +195,8 @@ def _check_folder(out: Path | None) -> None:
 
 def _certificates(program: Program | None) -> dict[str, float]:
     """Margin of every hold of the schedule, by piece."""
-    assignments = program.schedule.assignments if program else ()
-    return {a.piece: round(a.certificate.margin, 3) for a in assignments if a.certificate is not None}
+    inserts = [a.insert for a in program.schedule.assignments] if program else []
+    return {i.piece: round(i.certificate.margin, 3) for i in inserts if i.certificate is not None}
 
 
 def _planned(program: Program | None) -> dict[str, float]:
@@ -201,7 +204,7 @@ def _planned(program: Program | None) -> dict[str, float]:
     and as scheduled."""
     if program is None:
         return {}
-    if not np.isfinite(program.alone):
+    if program.alone is None or program.in_turn is None:
         return {"one at a time": round(program.makespan, 3)}
     times = {"together": program.makespan, "one at a time": program.alone, "as scheduled": program.in_turn}
     return {name: round(seconds, 3) for name, seconds in times.items()}
@@ -264,49 +267,6 @@ def _resumed(
     return plan, program, log
 
 
-def _plan_and_program(
-    assembly: Assembly, workcell: Workcell, plan: AssemblyPlan, options: EpisodeOptions, progress: Progress
-) -> tuple[AssemblyPlan, Program]:
-    """The best order that has a schedule: an order without one is ruled out, and the next best is tried."""
-    orders, schedulers, reasons = set[tuple[str, ...]](), dict[tuple[str, ...], Scheduler](), Counter[str]()
-    for candidate, effort in _candidates(assembly, workcell.cell.arms[0].hand, plan):
-        orders.add(candidate.order)
-        try:
-            if candidate.order not in schedulers:
-                feed = draw_feed(assembly, candidate, workcell.cell, options.seed, options.feed)
-                schedulers[candidate.order] = Scheduler(workcell, candidate, feed)
-            scheduler = schedulers[candidate.order]
-            scheduler.effort = effort
-            say = lambda reason: progress(reason, 0.0)  # noqa: E731
-            return candidate, make_program(
-                workcell, candidate, scheduler.feed, options.seed, say, scheduler=scheduler
-            )
-        except NoSolutionError as error:
-            reasons += error.reasons or Counter({error.summary: 1})
-    raise NoSolutionError(
-        "schedule", f"none of the {len(orders)} best orders of {assembly.name} has a schedule", reasons
-    )
-
-
-def _candidates(assembly: Assembly, hand: Hand, plan: AssemblyPlan) -> Iterator[tuple[AssemblyPlan, float]]:
-    """Plans of different orders, best first, and the effort of their search: before far worse orders the
-    better ones again."""
-    best, better, excluded = plan.score, list[AssemblyPlan](), frozenset[tuple[str, ...]]()
-    for _ in range(ORDERS):
-        if plan.score < POOR * best:
-            yield from ((earlier, THOROUGH) for earlier in better)
-            better = []
-        yield plan, 1.0
-        if plan.score >= POOR * best:
-            better.append(plan)
-        excluded |= {plan.order}
-        try:
-            plan = kept_plan(assembly, hand, plan.options, excluded)
-        except NoSolutionError:
-            break
-    yield from ((earlier, THOROUGH) for earlier in better)
-
-
 def execute(
     assembly: Assembly,
     workcell: Workcell,
@@ -319,10 +279,12 @@ def execute(
     actual: Feed = misplace(assembly, program.feed, options.feed, options.seed)
     poses = {name: actual.pose(name) for name in actual.names}
     world = BulletSimulator(
-        workcell.cell, assembly, program.stand, poses, np.array(workcell.robot.home), options.physics
+        workcell.cell, assembly, program.stand, poses, workcell.robot.home, options.physics
     )
     try:
-        executor = Executor(world, program, Compliance() if options.execution.compliant else None)
+        compliance = Compliance() if options.execution.compliant else None
+        every = options.physics.record_every
+        executor = Executor(world, program, workcell.sizes, compliance, every)
         executive = Executive(
             workcell, plan, program, executor, options.feed, options.execution, options.ablate, progress
         )

@@ -45,14 +45,22 @@ class NoSolutionError(SomaBulletError):
     Attributes:
         stage: where the search ended (`plan`, `schedule`, `motion`).
         reasons: what blocked, with how often; printed most frequent first.
+        decided: what ended the search, in lines; printed before the reasons.
     """
 
     exit_status = 3
 
-    def __init__(self, stage: str, summary: str, reasons: Counter[str] | None = None):
+    def __init__(
+        self,
+        stage: str,
+        summary: str,
+        reasons: Counter[str] | None = None,
+        decided: Iterable[str] = (),
+    ):
         self.stage = stage
         self.summary = summary
         self.reasons = Counter(reasons or {})
-        lines = [f"{stage}: {summary}"]
+        self.decided = tuple(decided)
+        lines = [f"{stage}: {summary}", *(f"  {line}" for line in self.decided)]
         lines += [f"  {count:6d} x {reason}" for reason, count in self.reasons.most_common(12)]
         super().__init__("\n".join(lines))

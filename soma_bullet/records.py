@@ -11,7 +11,8 @@ import os
 import re
 import tempfile
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar, get_origin
@@ -19,6 +20,7 @@ from typing import Any, TypeVar, get_origin
 import numpy as np
 from cattrs import Converter, transform_error
 from cattrs.errors import BaseValidationError
+from cattrs.gen import make_dict_structure_fn, make_dict_unstructure_fn
 
 from soma_bullet.errors import InputError
 
@@ -44,6 +46,44 @@ _is_array = lambda kind: kind is np.ndarray or get_origin(kind) is np.ndarray  #
 _converter.register_unstructure_hook_func(_is_array, lambda array: array)
 _converter.register_structure_hook_func(_is_array, lambda value, _: _frozen(value))
 _converter.register_structure_hook(float, lambda value, _: float(value))
+
+
+def register_family(base: type, members: Mapping[str, type]) -> None:
+    """Let records hold values of any class of a family where `base` is asked for, each under its class's
+    name.
+
+    Args:
+        members: the classes by name; more may come later.
+    """
+
+    def structure(tree: Any, _: Any) -> Any:
+        if not isinstance(tree, dict) or tree.get("class") not in members:
+            raise ValueError(f"is none of {', '.join(members)}")
+        fields = {key: value for key, value in tree.items() if key != "class"}
+        kind: Any = members[tree["class"]]
+        return _plain_hook(kind, "structure")(fields, kind)
+
+    def unstructure(value: Any) -> Any:
+        return {"class": type(value).__name__, **_plain_hook(type(value), "unstructure")(value)}
+
+    _converter.register_structure_hook_func(lambda kind: kind is base, structure)
+    _converter.register_unstructure_hook_func(
+        lambda kind: isinstance(kind, type) and issubclass(kind, base), unstructure
+    )
+
+
+def register_names(kind: type, members: Mapping[str, Any]) -> None:
+    """Let records hold values of a class by their names alone."""
+    _converter.register_unstructure_hook(kind, str)
+    _converter.register_structure_hook(kind, lambda name, _: members[name])
+
+
+@cache
+def _plain_hook(kind: Any, way: str) -> Callable[..., Any]:
+    """How one class of a family is turned into a tree, or made of one."""
+    if way == "structure":
+        return make_dict_structure_fn(kind, _converter, _cattrs_forbid_extra_keys=True)
+    return make_dict_unstructure_fn(kind, _converter)
 
 
 def _frozen(value: Any) -> np.ndarray:

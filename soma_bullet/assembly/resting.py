@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import shapely
 from scipy.spatial import ConvexHull, QhullError
 
 from soma_bullet.assembly.workpiece import Workpiece
-from soma_bullet.frames import Array
+from soma_bullet.frames import Array, apply
 
+# [rad], [m] a resting pose that less upsets would tip at a touch
+STEADY_TILT, STEADY_MARGIN = np.deg2rad(10.0), 2e-3
 SMALLEST_TILT = np.deg2rad(5.0)  # [rad] a pose that a smaller tilt upsets is no resting pose
 
 
@@ -31,6 +34,24 @@ def resting_poses(piece: Workpiece) -> Array:
     return np.array([pose for _, pose in sorted(found, key=lambda item: -round(item[0], 9))]).reshape(
         -1, 4, 4
     )
+
+
+def steady_poses(piece: Workpiece) -> Array:
+    """T_plane_piece (k, 4, 4) of the resting poses that no touch upsets, most stable first.
+
+    The centre of mass lies at least STEADY_MARGIN inside what the piece stands on, and a tilt of STEADY_TILT
+    about any edge of it falls back. Narrow facets of a round side, on which a piece rolls, are out by either.
+    Where none is steady, the most stable one counts."""
+    poses = resting_poses(piece)
+    steady = []
+    for pose in poses:
+        vertices = apply(pose, piece.vertices)
+        low = vertices[:, 2].min()
+        base = shapely.multipoints(vertices[vertices[:, 2] < low + 1e-6][:, :2]).convex_hull
+        com = apply(pose, piece.center_of_mass)
+        margin = base.exterior.distance(shapely.Point(com[:2])) if base.geom_type == "Polygon" else 0.0
+        steady.append(margin > STEADY_MARGIN and np.arctan2(margin, com[2] - low) > STEADY_TILT)
+    return poses[steady] if any(steady) else poses[:1]
 
 
 def _planes(hull: ConvexHull) -> list[tuple[Array, float]]:

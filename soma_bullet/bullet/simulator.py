@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from soma_bullet.assembly.model import Assembly
+from soma_bullet.bullet.measured import Measured
 from soma_bullet.bullet.quiet import pybullet as p
-from soma_bullet.bullet.stage import Part, Physics, Stage
-from soma_bullet.frames import Array, apply, inverse, make_transform
+from soma_bullet.bullet.stage import Physics
+from soma_bullet.bullet.upkeep import GripUpkeep
+from soma_bullet.frames import Array, apply, inverse
 from soma_bullet.robot.model import Cell
-
-Vector = tuple[float, float, float]
 
 CLOSING_SPEED, OPENING_SPEED = 0.05, 0.1  # [m/s]
 SETTLED = 8  # iterations of the solver in which a finger's motor reaches its limit
@@ -29,7 +27,7 @@ STILL = 2e-5, 2e-4  # [m], [rad] by which a piece at rest has moved between two 
 FORMING = 2
 
 
-class BulletSimulator(Stage):
+class BulletSimulator(Measured):
     """A stage whose clock runs. It is told joint targets and hand commands, nothing else.
 
     Attributes:
@@ -42,18 +40,15 @@ class BulletSimulator(Stage):
         assembly: Assembly,
         stand: tuple[float, float],
         poses: Mapping[str, Array],
-        home: Array,
+        home: Sequence[Array],
         physics: Physics,
     ):
         super().__init__(cell, assembly, stand, poses, home, physics)
-        self.steps, self._looks_every = 0, round(LOOKS_EVERY / physics.dt)
+        self._looks_every = round(LOOKS_EVERY / physics.dt)
         self.last_looked: Array | None = None
         self._efforts = [arm.effort.tolist() for arm in cell.arms]
         self._squeezing = [0.0] * len(cell.arms)  # [N]
         self._forming = [0] * len(cell.arms)  # steps until the contacts of a hand's pads have formed anew
-        self._contact_rows: Sequence[tuple[Any, ...]] | None = None  # of the last step
-        # those among them that an arm has a part in
-        self._robot_rows: Sequence[tuple[Any, ...]] | None = None
         for arm, q in enumerate(home):
             self.command_arm(arm, q)
             self.open_hand(arm, 0.0)
@@ -61,8 +56,8 @@ class BulletSimulator(Stage):
     # --- commands -------------------------------------------------------------------------------------------
 
     def command_arm(self, arm: int, q: Array) -> None:
-        """Joint targets (6,) of one arm for the next step."""
-        self.targets[arm] = q
+        """Joint targets (n,) of one arm for the next step."""
+        self.targets[arm] = np.array(q, float)
         joints = self.arm_joints[arm]
         p.setJointMotorControlArray(
             self.robots[arm], joints, p.POSITION_CONTROL, targetPositions=np.asarray(q, float).tolist(),
@@ -150,13 +145,27 @@ class BulletSimulator(Stage):
         if self.steps % self._looks_every == 0:
             self.look()
         p.stepSimulation(physicsClientId=self.client)
-        self._contact_rows = self._robot_rows = None
+        self.forget_contacts()
         self.steps += 1
         if any(self._forming):
             for arm, steps in enumerate(self._forming):
                 if steps:
                     self._forming[arm] = steps - 1
                     self.squeeze(arm, self._squeezing[arm])
+
+    def advance(self) -> None:
+        """One sample of a trajectory with the current commands."""
+        for _ in range(self.physics.substeps):
+            self.step()
+
+    def target(self, arm: int) -> Array:
+        """Joint targets (n,) [rad] that an arm was told last."""
+        return np.array(self.targets[arm])
+
+    def upkeep(self, arm: int, piece: str, samples: int) -> GripUpkeep:
+        """What keeps the contacts of a hand with the piece that it carries along a path of so many
+        samples."""
+        return GripUpkeep(self, arm, piece, samples)
 
     def look(self) -> None:
         """See what has moved since the last look: contacts that drive form anew, and what rests sleeps."""
@@ -228,164 +237,8 @@ class BulletSimulator(Stage):
         for body in sorted(driven & set(back) - gripped):
             p.setCollisionFilterGroupMask(body, -1, 1, -1, physicsClientId=self.client)
 
-    # --- what a real cell would know ------------------------------------------------------------------------
-
-    @property
-    def time(self) -> float:
-        """[s] since the start."""
-        return self.steps * self.physics.dt
-
-    def measured_joints(self) -> Array:
-        """Joints (arms, 6) [rad]."""
-        return np.array(
-            [self._positions(*joints) for joints in zip(self.robots, self.arm_joints, strict=True)]
-        )
-
-    def openings(self) -> Array:
-        """Distances between the pads (arms,) [m]."""
-        return np.array(
-            [sum(self._positions(*joints)) for joints in zip(self.robots, self.finger_joints, strict=True)]
-        )
-
-    def _positions(self, body: int, joints: list[int]) -> list[float]:
-        states = p.getJointStates(body, joints, physicsClientId=self.client)
-        return [state[0] for state in states]
-
-    def wrench(self, arm: int) -> Array:
-        """Force and torque (6,) with which the wrist carries the hand, in the hand's mount frame [N, N m].
-
-        It is summed from the contacts of the hand and its weight. Bullet's own sensor leaves out the impulses
-        of the gear that couples the fingers: it is wrong by up to all of a force along the closing axis.
-        Inertia is left out."""
-        force, torque, _, quat_xyzw = self._on_hand(arm)
-        return -(np.array((force, torque)) @ _rotation(quat_xyzw)).ravel()
-
-    def load(self, arm: int) -> Array:
-        """Force on the hand [N], and torque about its centre between the pads [N m], as the wrist feels them
-        (6,).
-
-        Weight is included. In the axes of the world its force stays the same when the hand turns.
-        """
-        force, torque, mount, _ = self._on_hand(arm)
-        centre = self.tcp_place(arm)
-        moment = _cross([m - c for m, c in zip(mount, centre, strict=False)], force)
-        return np.array((*force, *(t + m for t, m in zip(torque, moment, strict=True))))
-
-    def _on_hand(self, arm: int) -> tuple[Vector, Vector, Vector, tuple[float, ...]]:
-        """Force on a hand [N], torque about its mount [N m], place [m] and quaternion (x, y, z, w) of that,
-        in the world."""
-        body, links = self.robots[arm], self.hand_links[arm]
-        states = p.getLinkStates(body, links, physicsClientId=self.client)
-        mount, quat_xyzw = states[0][4:6]  # the first link is the mount
-        mx, my, mz = mount
-        fx = fy = fz = tx = ty = tz = 0.0
-        for (x, y, _), mass in zip((state[0] for state in states), self.hand_masses[arm], strict=True):
-            weight = -self.physics.gravity * mass
-            fz, tx, ty = fz + weight, tx + (y - my) * weight, ty - (x - mx) * weight
-        if self._robot_rows is None:
-            robots = set(self.robots)
-            self._robot_rows = [row for row in self._contacts_now() if row[1] in robots or row[2] in robots]
-        for row in self._robot_rows:
-            for sign, side in ((1.0, 1), (-1.0, 2)):
-                if row[side] == body and row[side + 2] in links:
-                    normal, first, second = sign * row[9], sign * row[10], sign * row[12]
-                    (nx, ny, nz), (ux, uy, uz), (vx, vy, vz) = row[7], row[11], row[13]
-                    gx, gy, gz = (
-                        normal * nx + first * ux + second * vx,
-                        normal * ny + first * uy + second * vy,
-                        normal * nz + first * uz + second * vz,
-                    )
-                    x, y, z = row[side + 4]
-                    lx, ly, lz = _cross((x - mx, y - my, z - mz), (gx, gy, gz))
-                    fx, fy, fz, tx, ty, tz = fx + gx, fy + gy, fz + gz, tx + lx, ty + ly, tz + lz
-        return (fx, fy, fz), (tx, ty, tz), mount, quat_xyzw
-
-    def _contacts_now(self) -> Sequence[tuple[Any, ...]]:
-        """Contacts of the last step, of all bodies: for one, pybullet may swap the two and forget the sign of
-        friction."""
-        if self._contact_rows is None:
-            self._contact_rows = p.getContactPoints(physicsClientId=self.client)
-        return self._contact_rows
-
-    # --- what only the log may know -------------------------------------------------------------------------
-
-    def piece_poses(self) -> dict[str, Array]:
-        """T_world_piece (4, 4) of every piece."""
-        return dict(zip(self.pieces, self.frames_of_pieces(self.places_of_pieces()[None])[0], strict=True))
-
-    def places_of_pieces(self) -> Array:
-        """What pybullet keeps of every piece (n, 7): position [m] and quaternion (x, y, z, w) of its
-        principal axes."""
-        bodies = self.pieces.values()
-        return np.array(
-            [sum(p.getBasePositionAndOrientation(body, physicsClientId=self.client), ()) for body in bodies]
-        )
-
-    def frames_of_pieces(self, places: Array) -> Array:
-        """T_world_piece (m, n, 4, 4) of m times `places_of_pieces`."""
-        found = np.tile(np.eye(4), (*places.shape[:2], 1, 1))
-        found[..., :3, :3] = (
-            Rotation.from_quat(places[..., 3:].reshape(-1, 4)).as_matrix().reshape(*places.shape[:2], 3, 3)
-        )
-        found[..., :3, 3] = places[..., :3]
-        return found @ np.array([self.T_inertial_piece[name] for name in self.pieces])
-
-    def tcp_poses(self) -> list[Array]:
-        """T_world_tcp (4, 4) of every arm."""
-        return [self.tcp_pose(arm) for arm in range(len(self.robots))]
-
-    def tcp_pose(self, arm: int) -> Array:
-        """T_world_tcp (4, 4) of one arm."""
-        place = self.tcp_place(arm)
-        return make_transform(_rotation(place[3:]), place[:3])
-
-    def tcp_place(self, arm: int) -> tuple[float, ...]:
-        """Position [m] and quaternion (x, y, z, w) of one arm's TCP (7,)."""
-        body, link = self.robots[arm], self.wrists[arm]
-        state = p.getLinkState(body, link, computeForwardKinematics=1, physicsClientId=self.client)
-        position, quat_xyzw = p.multiplyTransforms(state[4], state[5], *self.tcp_on_mount[arm])
-        return (*position, *quat_xyzw)
-
-    def all_joints(self) -> Array:
-        """Positions of `moving_joints`."""
-        found: list[float] = []
-        for body, joints in self.moving.items():
-            found += self._positions(body, joints)
-        return np.array(found)
-
-    def contacts(self) -> list[tuple[Part, Part, float, float]]:
-        """Touching links as ((body, link), (body, link), normal force [N], distance [m]); the forces of a
-        pair are added."""
-        found: dict[tuple[int, int, int, int], list[float]] = {}
-        self._contact_rows = p.getContactPoints(physicsClientId=self.client)
-        for row in self._contact_rows:
-            total = found.get(row[1:5])
-            if total is None:
-                found[row[1:5]] = [row[9], row[8]]
-            else:
-                total[0] += row[9]
-                if row[8] < total[1]:
-                    total[1] = row[8]
-        pairs: dict[tuple[Part, Part], tuple[float, float]] = {}
-        for (body_a, body_b, link_a, link_b), (more, nearer) in found.items():
-            one, two = (body_a, link_a), (body_b, link_b)
-            pair = (one, two) if one < two else (two, one)
-            force, distance = pairs.get(pair, (0.0, np.inf))
-            pairs[pair] = (force + more, min(distance, nearer))
-        return [(a, b, force, distance) for (a, b), (force, distance) in pairs.items()]
-
 
 def _moved(back: Array | None, point: Sequence[float]) -> Array:
     """How far (3,) [m] a point of a body has come from where a transform (4, 4) takes it back to; without
     one, it has not."""
     return np.zeros(3) if back is None else np.array(point) - apply(back, point)
-
-
-def _cross(a: Sequence[float], b: Sequence[float]) -> Vector:
-    """Of two vectors; numpy takes ten times as long for so few numbers."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
-def _rotation(quat_xyzw: Sequence[float]) -> Array:
-    """Rotation matrix (3, 3)."""
-    return np.array(p.getMatrixFromQuaternion(quat_xyzw)).reshape(3, 3)

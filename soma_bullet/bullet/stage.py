@@ -7,7 +7,7 @@ The only constraints couple the two fingers of a hand (JOINT_GEAR), as the gears
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -22,7 +22,7 @@ from soma_bullet.frames import Array, inverse, to_quat_xyzw
 from soma_bullet.frames import from_quat_xyzw as transform_of
 from soma_bullet.robot.compose import compose_urdf
 from soma_bullet.robot.model import Cell
-from soma_bullet.task.segments import DT
+from soma_bullet.task.segment import DT
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Stage:
         cell, assembly: what is loaded.
         stand: footprint of the stand [m].
         poses: T_world_piece (4, 4) of each piece at the start.
-        home: joints (arms, 6) at the start.
+        home: joints (n,) [rad] of each arm at the start.
         frames: whether the arms keep the links of their URDF that have neither mass nor shape.
     """
 
@@ -97,7 +97,7 @@ class Stage:
         assembly: Assembly,
         stand: tuple[float, float],
         poses: Mapping[str, Array],
-        home: Array,
+        home: Sequence[Array],
         physics: Physics,
         frames: bool = False,
     ):
@@ -121,7 +121,7 @@ class Stage:
             self._load_pieces(Path(folder), poses)
         self._couple_fingers()
         self._place_robot(home)
-        self.targets = np.array(home, float)
+        self.targets = [np.array(q, float) for q in home]
 
     def close(self) -> None:
         """Free the simulator."""
@@ -288,7 +288,7 @@ class Stage:
                 gear, gearRatio=-1, erp=GEAR_ERP, maxForce=GEAR_FORCE, physicsClientId=self.client
             )
 
-    def _place_robot(self, home: Array) -> None:
+    def _place_robot(self, home: Sequence[Array]) -> None:
         for body, joints, q in zip(self.robots, self.arm_joints, home, strict=True):
             for joint, angle in zip(joints, q, strict=True):
                 p.resetJointState(body, joint, float(angle), physicsClientId=self.client)

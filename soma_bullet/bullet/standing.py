@@ -3,7 +3,7 @@ robot in sight."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -89,7 +89,7 @@ class _Bench(Stage):
     """A stage without a robot, whose clock runs."""
 
     def __init__(self, cell: Cell, assembly: Assembly, poses: dict[str, Array], physics: Physics):
-        super().__init__(cell, assembly, WIDE, poses, np.zeros((0, 6)), physics)
+        super().__init__(cell, assembly, WIDE, poses, (), physics)
 
     def _load_robot(self, folder: Path, stand: tuple[float, float]) -> None:
         pass
@@ -97,7 +97,7 @@ class _Bench(Stage):
     def _couple_fingers(self) -> None:
         pass
 
-    def _place_robot(self, home: Array) -> None:
+    def _place_robot(self, home: Sequence[Array]) -> None:
         pass
 
     def run(self, seconds: float) -> None:

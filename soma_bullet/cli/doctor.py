@@ -261,7 +261,7 @@ def check_robot() -> Iterator[Finding]:
         )
         advice = "" if good else f"{AGAIN} eaik pin"
         yield Finding("inverse kinematics", "good" if good else "bad", says, advice)
-    scene = workcell.scene({}, idle, 0)
+    scene = workcell.scene(idle, 0)
     free = not scene.collides(workcell.configuration(idle, 0, robot.home[0]))
     through = robot.home[0] + np.array(
         [0.0, 1.2, 0.0, 0.0, 0.0, 0.0]
@@ -301,9 +301,7 @@ def check_physics() -> Iterator[Finding]:
         poses[piece.name] = translate(
             np.eye(4), (side[0], side[1] + 0.12 * (k - 1), 1e-4 - piece.vertices[:, 2].min())
         )
-    world = BulletSimulator(
-        cell, assembly, workcell.robot.stand_size, poses, np.array(workcell.robot.home), Physics()
-    )
+    world = BulletSimulator(cell, assembly, workcell.robot.stand_size, poses, workcell.robot.home, Physics())
     try:
         yield Finding(
             "pybullet, no window", "good", f"the cell is loaded in {time.perf_counter() - start:.1f} s"
@@ -314,7 +312,7 @@ def check_physics() -> Iterator[Finding]:
         factor = FALL / (time.perf_counter() - start)
         found = world.piece_poses()
         lowest = min(float(apply(found[piece.name], piece.vertices)[:, 2].min()) for piece in assembly.pieces)
-        sag = float(np.rad2deg(np.abs(world.measured_joints() - workcell.robot.home).max()))
+        sag = float(np.rad2deg(np.abs(np.subtract(world.measured_joints(), workcell.robot.home)).max()))
     finally:
         world.close()
     good = abs(lowest) < SUNK and sag < SAGGED

@@ -11,17 +11,17 @@ from scipy.spatial.transform import Rotation
 
 from soma_bullet.frames import Array, inverse, make_transform, readonly
 from soma_bullet.robot.kinematics import Robot
-from soma_bullet.task.beside import Beside
-from soma_bullet.task.motions import joined
-from soma_bullet.task.segments import Segment
+from soma_bullet.task.program.motions import joined
+from soma_bullet.task.program.overlap.concurrent import Concurrent
+from soma_bullet.task.segment import Segment
 from soma_bullet.task.workcell import Workcell
 
 GONE_MM = 15.0  # [mm] a piece that a hand would have to move farther for is not in the hand any more
 CERTAIN_MM, CERTAIN_DEG = 0.1, 0.2  # [mm], [deg] smaller differences are not worth a correction
-LARGEST_CHANGE = np.array(
-    (0.02, 0.02, 0.02, 0.12, 0.12, 0.12)
-)  # [rad] of each joint by a correction; of more it is a share
-UTMOST_CHANGE = 5 * LARGEST_CHANGE  # the same where nothing else is left to do
+# [rad] of each joint by a correction; of more it is a share: the arm's joints, and the last three, the
+# wrist's
+ARM_CHANGE, WRIST_CHANGE, WRIST = 0.02, 0.12, 3
+UTMOST = 5  # times as much where nothing else is left to do
 # [deg] that a correction may leave; a piece that has turned farther in the hand is planned with anew
 TURNED_DEG = 1.5
 # [rad] between joints that reach a place and what the Jacobian of the end says they are: else another branch
@@ -75,7 +75,7 @@ def displacement(workcell: Workcell, segment: Segment, q: Array, seen: Sequence[
     """Of the piece of a placing, the mean over some looks.
 
     Args:
-        q: measured joints (6,) [rad] of the arm.
+        q: measured joints (n,) [rad] of the arm.
         seen: T_world_piece (4, 4) of each look.
     """
     robot, arm = workcell.robot, segment.arm
@@ -90,18 +90,18 @@ def displacement(workcell: Workcell, segment: Segment, q: Array, seen: Sequence[
 
 
 def correct(
-    robot: Robot, segment: Segment, off: Displacement, arms: Beside, q: Array, utmost: bool
+    robot: Robot, segment: Segment, off: Displacement, arms: Concurrent, q: Array, utmost: bool
 ) -> Correction:
     """Bend a placing, by as much as joints and the other arms allow.
 
     Args:
         robot: which arm's it is says the segment.
         arms: the others, from now until the hand withdraws.
-        q: measured joints (6,) [rad] of the arm.
+        q: measured joints (n,) [rad] of the arm.
         utmost: there is nothing else to do about it: joints may change by more, and what is left over is
             left.
     """
-    limits = UTMOST_CHANGE if utmost else LARGEST_CHANGE
+    limits = largest_change(segment.path.shape[1]) * (UTMOST if utmost else 1)
     largest = 1.0 / max(1.0, *(np.abs(_change(robot, segment, off, 1.0)) / limits))
     ramp = np.clip(np.linspace(0.0, 1.0 / BEND, len(segment.path)), 0.0, 1.0)[:, None]
     planned = arms.gap(segment.path, APART + NEARER)
@@ -116,8 +116,13 @@ def correct(
     return Correction(replace(segment, path=readonly(joined(path, q))))
 
 
+def largest_change(joints: int) -> Array:
+    """Of each of an arm's joints by a correction (n,) [rad]."""
+    return np.array([*[ARM_CHANGE] * (joints - WRIST), *[WRIST_CHANGE] * WRIST])
+
+
 def _change(robot: Robot, segment: Segment, off: Displacement, share: float) -> Array:
-    """Of the joints at the end of a placing (6,) [rad] for a share of a correction.
+    """Of the joints at the end of a placing (n,) [rad] for a share of a correction.
 
     It is exact where the arm reaches so far on the same branch: along the Jacobian alone, which is damped
     near singularities, a turn of 8 deg leaves the hand several millimetres off. Else it is that."""

@@ -11,12 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soma_bullet.bullet.simulator import BulletSimulator
 from soma_bullet.control.guide import Compliance
-from soma_bullet.control.travel import EMPTY, Motion, Steps, Travel, rest
+from soma_bullet.control.travel import Motion, Steps, Travel, rest
 from soma_bullet.frames import Array, readonly, to_quat_xyzw
-from soma_bullet.task.segments import CLOSING, DT, OPENING_TIME, Program, Segment
-from soma_bullet.world.log import ExecutionLog, Recorder, SegmentRecord
+from soma_bullet.sizes import Sizes
+from soma_bullet.task.kinds import GRASP, RELEASE
+from soma_bullet.task.program.program import Program
+from soma_bullet.task.segment import CLOSING, DT, OPENING_TIME, Segment
+from soma_bullet.world.log import Event, ExecutionLog, Recorder, SegmentRecord
+from soma_bullet.world.simulator import Simulator
 
 TOUCH_FORCE, EASED_FORCE = 5.0, 0.5  # [N] of the first touch, and of the grip before the pads leave
 RAMP = 0.15  # [s] between those and the full grip force
@@ -31,7 +34,7 @@ class Observation:
     Attributes:
         outcome: see SegmentRecord; or `turned`, where a placing was not begun since the piece has turned in
             the hand.
-        qs: measured joints (arms, 6) [rad].
+        qs: measured joints (n,) [rad] of each arm.
         openings: measured distances between the pads (arms,) [m].
         force: on the hand at the end, against its start (3,) [N], in the world.
         remaining: travel that was left [m].
@@ -39,7 +42,7 @@ class Observation:
     """
 
     outcome: str
-    qs: Array
+    qs: tuple[Array, ...]
     openings: Array
     force: Array
     remaining: float
@@ -50,18 +53,25 @@ class Executor:
     """Feeds segments to a world and records everything.
 
     Args:
+        world: any simulator.
+        sizes: of the workpieces.
         compliance: how guarded motions yield; None for motions that stop at the first touch.
+        record_every: samples of a trajectory between samples of the log.
     """
 
-    def __init__(self, world: BulletSimulator, program: Program, compliance: Compliance | None = None):
-        self.world, self.program = world, program
-        self.recorder = Recorder()
-        names = world.part_names()
-        self.bodies = list(names.values())
-        self._codes = {part: code for code, part in enumerate(names)}
+    def __init__(
+        self,
+        world: Simulator,
+        program: Program,
+        sizes: Sizes,
+        compliance: Compliance | None = None,
+        record_every: int = 5,
+    ):
+        self.world, self.program, self.sizes, self.record_every = world, program, sizes, record_every
+        self.recorder, self._samples = Recorder(), 0
         self._running: dict[int, tuple[Segment, Generator[None, None, Observation]]] = {}
         self._ended: list[tuple[Segment, Observation]] = []
-        self.travel = Travel(world, compliance)
+        self.travel = Travel(world, sizes, compliance)
 
     # --- running --------------------------------------------------------------------------------------------
 
@@ -104,19 +114,21 @@ class Executor:
 
     def _perform(self, segment: Segment) -> Generator[None, None, Observation]:
         world, start, arm = self.world, self.world.time, segment.arm
-        if segment.kind == "grasp":
+        if segment.kind is GRASP:
             yield from self._grip(arm)
-        elif segment.kind == "release":
+        elif segment.kind is RELEASE:
+            assert segment.opening is not None
             yield from self._let_go(arm, segment.opening)
-        elif not np.isnan(segment.opening):
+        elif segment.opening is not None:
             world.open_hand(arm, segment.opening)
         motion = Motion()
         if len(segment.path) or (segment.guard and self.travel.compliance is not None):
             yield from self.travel.go(segment, motion)
         else:
             yield from rest(segment.duration - (world.time - start))
-        if segment.kind == "grasp":
-            if world.openings()[arm] < segment.width - EMPTY:
+        if segment.kind is GRASP:
+            assert segment.width is not None
+            if world.openings()[arm] < segment.width - self.sizes.empty:
                 motion.outcome = "lost"
             else:
                 self.travel.carried[arm] = segment.width
@@ -130,7 +142,7 @@ class Executor:
         arm = self.world.cell.arms[segment.arm].name
         self.recorder.segments.append(
             SegmentRecord(
-                kind or segment.kind,
+                kind or str(segment.kind),
                 segment.step,
                 arm,
                 segment.piece,
@@ -168,6 +180,10 @@ class Executor:
 
     # --- not of the program ---------------------------------------------------------------------------------
 
+    def note_event(self, kind: str, piece: str, text: str) -> None:
+        """Log something that was noticed or decided."""
+        self.recorder.events.append(Event(self.world.time, kind, piece, text))
+
     def wait(self, duration: float) -> None:
         """Hold everything where it is commanded for `duration` [s]."""
         for _ in rest(duration):
@@ -187,61 +203,41 @@ class Executor:
         self.wait(FINAL_SETTLE)
         self.recorder.segments.append(
             SegmentRecord(
-                "final", -1, "", "", start, self.world.time, "as planned", readonly(np.zeros(3)), 0.0, 0.0
+                "final", None, "", "", start, self.world.time, "as planned", readonly(np.zeros(3)), 0.0, 0.0
             )
         )
 
     def _step(self) -> None:
         """One sample of a trajectory, or as long a rest."""
-        physics = self.world.physics
-        for _ in range(physics.substeps):
-            self.world.step()
-        if self.world.steps % (physics.substeps * physics.record_every) == 0:
-            self._record()
-
-    def _record(self) -> None:
-        world = self.world
-        grips = np.zeros(len(world.cell.arms))
-        finger = {part: arm for arm, parts in enumerate(world.finger_links) for part in parts}
-        for a, b, force, distance in world.contacts():
-            if force <= 0.0 and distance > 0.0:
-                continue  # Bullet lists what is merely near
-            self.recorder.touch(self._codes[a], self._codes[b], force, distance)
-            for side in (a, b):
-                if side in finger:
-                    grips[finger[side]] += force / 2
-        self.recorder.add(
-            times=world.time,
-            joints=world.all_joints(),
-            targets=world.targets,
-            poses=world.places_of_pieces(),
-            tcps=[world.tcp_place(arm) for arm in range(len(world.cell.arms))],
-            wrenches=[world.wrench(arm) for arm in range(len(world.cell.arms))],
-            grips=grips,
-        )
+        self.world.advance()
+        self._samples += 1
+        if self._samples % self.record_every == 0:
+            self.recorder.add(self.world.time, self.world.sample())
 
     def log(self, ended: str) -> ExecutionLog:
         """The record so far."""
-        program, cell, arrays = self.program, self.world.cell, self.recorder.arrays()
-        arrays["poses"] = readonly(np.dstack(to_quat_xyzw(self.world.frames_of_pieces(arrays["poses"]))))
-        arrays["tcps"] = readonly(
-            arrays["tcps"] * np.where(arrays["tcps"][..., 6:] < 0.0, (1, 1, 1, -1, -1, -1, -1), 1.0)
-        )
+        program, world, arrays = self.program, self.world, self.recorder.arrays()
+        poses = world.poses(arrays.pop("places"))
+        arrays["poses"] = readonly(np.dstack(to_quat_xyzw(poses)))
+        signs = np.where(arrays["tcps"][..., 6:] < 0.0, (1, 1, 1, -1, -1, -1, -1), 1.0)
+        arrays["tcps"] = readonly(arrays["tcps"] * signs)
+        arms, names = world.cell.arms, world.names
         return ExecutionLog(
-            cell=cell.name,
+            cell=world.cell.name,
             assembly=program.assembly,
             digest=program.digest,
             seed=program.seed,
             order=program.order,
             stand=program.stand,
             T_world_assembly=program.T_world_assembly,
-            joint_names=self.world.moving_joints,
-            arm_names=tuple(arm.name for arm in cell.arms),
-            piece_names=tuple(self.world.pieces),
-            bodies=tuple(self.bodies),
+            joint_names=names.joints,
+            target_names=tuple(name for arm in arms for name in arm.joint_names),
+            arm_names=tuple(arm.name for arm in arms),
+            piece_names=names.pieces,
+            bodies=names.bodies,
             segments=tuple(self.recorder.segments),
             events=tuple(self.recorder.events),
-            constraints=self.world.constraints(),
+            constraints=world.constraints(),
             ended=ended,
             **arrays,
         )

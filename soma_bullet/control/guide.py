@@ -8,7 +8,7 @@ yields to torques about that direction as well."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -61,6 +61,12 @@ class Compliance:
     careful: float = 0.25
     entry: float = 2e-3
     limit: float = 14.0
+
+
+def scaled(compliance: Compliance, scale: float) -> Compliance:
+    """How a hand yields with workpieces that are `scale` times as large: forces and lengths grow with it."""
+    names = ("press", "search", "dead", "pitch", "reach", "inside", "entry", "limit")
+    return replace(compliance, **{name: scale * getattr(compliance, name) for name in names})
 
 
 class Guide:

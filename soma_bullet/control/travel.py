@@ -11,30 +11,20 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from soma_bullet.bullet.simulator import BulletSimulator
-from soma_bullet.control.guide import Compliance, Guide
-from soma_bullet.frames import Array, rotation_angle
-from soma_bullet.task.segments import DT, Segment
+from soma_bullet.control.guide import Compliance, Guide, scaled
+from soma_bullet.frames import Array
+from soma_bullet.sizes import Sizes
+from soma_bullet.task.kinds import TRANSFER
+from soma_bullet.task.segment import DT, Segment
+from soma_bullet.world.simulator import Simulator
 
 TARE = 0.1  # [s] at rest before a guarded segment
-STALE = np.deg2rad(15.0)  # [rad] by which a hand may turn before the contacts of its pads are renewed
-STALE_POINTS = np.deg2rad(
-    7.0
-)  # [rad] the same where a pad touches in a few points alone, on which the piece rolls
 FILTER = 4  # samples of the force that are averaged
-JAM = 1e-3  # [m] a guarded motion that stops farther from its end is jammed
 LEANING = 0.3  # [s] of resistance so near to its end after which a guided motion has arrived as well
-# [m] a guided motion that meets resistance nearer to its end has arrived; on the table JAM will do
-SEATED = 0.35e-3
-EMPTY = 2e-3  # [m] pads nearer to each other than a piece's width less this hold nothing
 WATCH = 5  # samples between looks at the width of a hand that carries
-FALL, LOWERING = 1e-3, 8e-3  # [m], [m/s] of the last way straight down
-TOUCH = 0.3  # [N] that ends it: pressed on with more, what the hand holds pivots in it
-NARROW = 0.5e-3  # [m] largest radius of a search on that way
-RESTING, EASING = (
-    0.15,
-    2e-3,
-)  # [N] with which a piece rests that the hand does not press on, [m/s] of going back to it
+LOWERING = 8e-3  # [m/s] of the last way straight down
+NARROW = 0.5  # of the length of that way: largest radius of a search on it
+EASING = 2e-3  # [m/s] of going back to where a piece rests that the hand does not press on
 SLOW = 0.25  # [s] over which a guided motion takes up its speed again
 
 Steps = Generator[None, None, None]
@@ -62,8 +52,9 @@ class Travel:
         tares: arm -> load of the hand with what it holds in the air (6,).
     """
 
-    def __init__(self, world: BulletSimulator, compliance: Compliance | None):
-        self.world, self.compliance = world, compliance
+    def __init__(self, world: Simulator, sizes: Sizes, compliance: Compliance | None):
+        self.world, self.sizes = world, sizes
+        self.compliance = scaled(compliance, sizes.scale) if compliance is not None else None
         self.carried: dict[int, float] = {}
         self.tares: dict[int, Array] = {}
 
@@ -81,12 +72,17 @@ class Travel:
                 yield from self._guided(segment, motion, self.compliance, tare)
             else:
                 tare = self.tares.get(segment.arm, load)
-                if (tare - load)[
-                    :3
-                ] @ segment.last_way > RESTING:  # it rests on something; pressed on, that would creep away
+                if (
+                    (tare - load)[
+                        :3
+                        # it rests on something; pressed on, that would creep away
+                    ]
+                    @ segment.last_way
+                    > self.sizes.resting
+                ):
                     return
                 yield from self._lowered(
-                    segment, motion, self.compliance, tare, np.array(self.world.targets[segment.arm]), 0.0
+                    segment, motion, self.compliance, tare, self.world.target(segment.arm), 0.0
                 )
             if motion.outcome != "jammed":
                 yield from self._ease(segment, tare)
@@ -98,21 +94,19 @@ class Travel:
     def _free(self, segment: Segment, motion: Motion) -> Steps:
         """Feed a path; a hand that carries watches that its pads stay apart."""
         world, arm = self.world, segment.arm
-        anchored, stale = world.tcp_pose(arm)[:3, :3], list[int]()
-        lasting = (
-            STALE if segment.piece not in world.pieces or world.touches_flat(segment.piece) else STALE_POINTS
-        )
-        ending = len(segment.path) - 1 - WATCH * len(world.finger_links[arm])
+        upkeep = None
+        if segment.kind is TRANSFER:
+            upkeep = world.upkeep(arm, segment.piece, len(segment.path))
         for k, q in enumerate(segment.path[1:], 1):
-            if segment.kind == "transfer" and (k % WATCH == 0 or k >= ending):
-                turned = world.tcp_pose(arm)[:3, :3]
-                if not stale and (rotation_angle(anchored, turned) > lasting or k == ending):
-                    stale, anchored = list(range(len(world.finger_links[arm]))), turned
-                if stale and (k < ending or (k - ending) % WATCH == 0):
-                    world.renew_contacts(arm, stale.pop())
+            if upkeep is not None:
+                upkeep.at(k)
             world.command_arm(arm, q)
             yield
-            if k % WATCH == 0 and arm in self.carried and world.openings()[arm] < self.carried[arm] - EMPTY:
+            if (
+                k % WATCH == 0
+                and arm in self.carried
+                and world.openings()[arm] < self.carried[arm] - self.sizes.empty
+            ):
                 del self.carried[arm]
                 motion.outcome = "lost"
                 return
@@ -131,22 +125,22 @@ class Travel:
             motion.peak = max(motion.peak, force)
             if force > segment.guard and len(recent) == FILTER:
                 motion.remaining, motion.force = length * _fraction_left(segment.path, float(k)), change
-                motion.outcome = "jammed" if motion.remaining > JAM else "stopped early"
+                motion.outcome = "jammed" if motion.remaining > self.sizes.jam else "stopped early"
                 return
 
     def _guided(self, segment: Segment, motion: Motion, compliance: Compliance, tare: Array) -> Steps:
         """Feed a path as far as the wrist's force allows, and aside as it asks; see Guide.
 
-        A piece that comes in at a slant stays FALL above its path and comes down straight at the end: it then
-        meets what carries it without pushing it aside. Where something should be met at the end, the hand
-        goes on until it is."""
+        A piece that comes in at a slant stays a little above its path and comes down straight at the end: it
+        then meets what carries it without pushing it aside. Where something should be met at the end, the
+        hand goes on until it is."""
         path, length = segment.path, float(np.linalg.norm(segment.offset))
         along, slanted = segment.offset / length, segment.slanted
 
         def place(at: float, guide: Guide) -> Array:
             whole = min(int(at), len(path) - 2)
             nominal = path[whole] + (at - whole) * (path[whole + 1] - path[whole])
-            fall = FALL * min(1.0, 3.0 * at / (len(path) - 1)) * slanted
+            fall = self.sizes.fall * min(1.0, 3.0 * at / (len(path) - 1)) * slanted
             shift, turn = guide.offset + (0.0, 0.0, fall), guide.twist * along
             return nominal + segment.compliance[:, :3] @ shift + segment.compliance[:, 3:] @ turn
 
@@ -155,7 +149,7 @@ class Travel:
 
         guide = Guide(along, compliance)
         at = yield from self._feel(segment, motion, guide, tare, len(path) - 1.0, place, left)
-        fall = FALL * slanted
+        fall = self.sizes.fall * slanted
         if (
             motion.outcome == "jammed"
             or (motion.outcome == "stopped early" and not slanted)
@@ -168,9 +162,9 @@ class Travel:
         self, segment: Segment, motion: Motion, compliance: Compliance, tare: Array, start: Array, fall: float
     ) -> Steps:
         """Go on the last way by `fall` [m], and beyond until something is met, however lightly."""
-        lightly = replace(segment, guard=min(segment.guard, TOUCH))
+        lightly = replace(segment, guard=min(segment.guard, self.sizes.touch))
         down, step = segment.last_way, LOWERING * DT
-        guide = Guide(down, replace(compliance, reach=min(compliance.reach, NARROW)))
+        guide = Guide(down, replace(compliance, reach=min(compliance.reach, NARROW * self.sizes.fall)))
         motion.outcome = "as planned"
         yield from self._feel(
             lightly, motion, guide, tare, (fall + segment.beyond) / step,
@@ -183,11 +177,11 @@ class Travel:
         """Go back until a piece only just rests on what stopped it: pressed on, that would creep away under
         it."""
         world, arm = self.world, segment.arm
-        start, back = np.array(world.targets[arm]), 0.0
+        start, back = world.target(arm), 0.0
         recent: list[Array] = []
-        while back < JAM / 2:
+        while back < self.sizes.jam / 2:
             recent = [*recent[1 - FILTER :], world.load(arm)]
-            if -float((np.mean(recent, axis=0) - tare)[:3] @ segment.last_way) < RESTING:
+            if -float((np.mean(recent, axis=0) - tare)[:3] @ segment.last_way) < self.sizes.resting:
                 return
             back += EASING * DT
             world.command_arm(arm, start - segment.compliance[:, :3] @ segment.last_way * back)
@@ -203,7 +197,8 @@ class Travel:
         """
         world, arm = self.world, segment.arm
         at, pace = 0.0, 0.0
-        seated = JAM if segment.kind == "set_down" else SEATED
+        sizes, on_table = self.sizes, segment.kind.ends == "table"
+        seated = sizes.jam if on_table else sizes.seated
         recent: list[Array] = []
         while at < last:
             speed = 1.0
@@ -222,8 +217,8 @@ class Travel:
                     return at
                 # it lies on something, or rubs: searching here would only push that aside; and a table has no
                 # opening to find
-                early = motion.remaining > JAM
-                near = not early or segment.kind == "set_down"
+                early = motion.remaining > sizes.jam
+                near = not early or on_table
                 speed = guide.update(load, DT, motion.remaining, near)
                 if guide.failed or (near and (guide.held_up if early else guide.waited) > LEANING):
                     motion.outcome = "jammed" if guide.failed or early else "stopped early"
@@ -252,7 +247,7 @@ def rest(duration: float) -> Steps:
 
 
 def _fraction_left(path: Array, at: float) -> float:
-    """Of the way along a path (n, 6), by the joints, from a sample that may lie between two."""
+    """Of the way along a path (m, n), by the joints, from a sample that may lie between two."""
     q = path[min(round(at), len(path) - 1)]
     travelled = np.abs(q - path[0]).sum()
     return float(1.0 - travelled / max(np.abs(path[-1] - path[0]).sum(), 1e-12))

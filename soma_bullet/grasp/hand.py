@@ -6,6 +6,7 @@ The TCP lies midway between the pads' centres: z towards the workpiece, x the cl
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from soma_bullet.errors import InputError
 from soma_bullet.frames import Array, make_transform, readonly
+from soma_bullet.sizes import way_out
 from soma_bullet.toml_fields import Fields, read_toml
 
 
@@ -59,6 +61,12 @@ class Hand:
     palm_boxes: tuple[Box, ...]
     left_boxes: tuple[Box, ...]
     right_boxes: tuple[Box, ...]
+
+    @cached_property
+    def way_out(self) -> float:
+        """How far it goes straight to a grasp, and back from it [m]: longer fingers, farther."""
+        palm = max(float(box.T[2, 3] + np.abs(box.T[2, :3]) @ box.half) for box in self.palm_boxes)
+        return way_out(round(-palm, 9))
 
     def boxes(self, width: float) -> tuple[Box, ...]:
         """All collision boxes in the TCP frame with the pads `width` [m] apart: palm, left, right."""

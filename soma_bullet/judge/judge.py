@@ -11,6 +11,7 @@ from soma_bullet.assembly.contacts import SUPPORT
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, Indices, apply, inverse, rotation_angle
 from soma_bullet.robot.model import Cell
+from soma_bullet.task.kinds import KINDS
 from soma_bullet.world.log import ExecutionLog, SegmentRecord
 
 STAND, TABLE = "stand", "table"
@@ -214,9 +215,6 @@ def _travel(log: ExecutionLog, assembly: Assembly, name: str, samples: Indices) 
     return float(np.linalg.norm(places - places[0], axis=2).max()) * 1e3
 
 
-CARRYING = ("lift", "transfer", "lower", "insert", "place", "set_down")
-
-
 def _following(log: ExecutionLog, k: int) -> list[SegmentRecord]:
     """What an arm did with a piece after a segment, in order, until it let go of it."""
     record = log.segments[k]
@@ -237,10 +235,15 @@ def _motion(poses: list[Array]) -> tuple[float, float]:
     return shift * 1e3, float(np.rad2deg(turn))
 
 
+def _carries(record: SegmentRecord) -> bool:
+    """Whether a piece moves with the hand meanwhile."""
+    return record.kind in KINDS and KINDS[record.kind].carries
+
+
 def _slips(log: ExecutionLog) -> list[GraspSlip]:
     slips = []
     for k, record in enumerate(log.segments):
-        carried = [s for s in _following(log, k) if s.kind in CARRYING] if record.kind == "grasp" else []
+        carried = [s for s in _following(log, k) if _carries(s)] if record.kind == "grasp" else []
         if not carried:
             continue
         samples = log.between(carried[0].start, carried[-1].end)
@@ -256,7 +259,7 @@ def _holds(log: ExecutionLog) -> list[HoldDrift]:
     for k, record in enumerate(log.segments):
         following = _following(log, k)
         placed = record.kind == "settle" and _before(log, k) == "place"
-        taken = record.kind == "grasp" and not any(s.kind in CARRYING for s in following)
+        taken = record.kind == "grasp" and not any(_carries(s) for s in following)
         if not placed and not taken:
             continue
         end = next((s.start for s in following if s.kind == "release"), float(log.times[-1]))

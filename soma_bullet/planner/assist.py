@@ -27,6 +27,7 @@ from soma_bullet.planner.programs import RayProgram
 # like the patch, (sqrt(2) + asinh(1)) / 6 of its side.
 PATCH = (np.sqrt(2) + np.arcsinh(1.0)) / 6
 GRAVITY = 9.81  # [m/s2]
+SMALLEST_MARGIN = 1.0  # of a certificate: a hold with less would slip
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from soma_bullet.planner.assembly_plan import (
     PlanStep,
     Sensitivity,
 )
-from soma_bullet.planner.assist import HoldCertificate, certify_hold
+from soma_bullet.planner.assist import SMALLEST_MARGIN, HoldCertificate, certify_hold
 from soma_bullet.planner.equilibrium import TIE
 from soma_bullet.planner.orders import MOST_ENUMERATED, OrderRow, Orders, rounded
 from soma_bullet.planner.qualities import Placed, PlannerOptions, Qualities, way_length
@@ -30,7 +30,6 @@ from soma_bullet.records import package_versions
 TIES = 16  # orders that are looked for beyond MOST_ENUMERATED, so that ties show
 SAMPLES = 200  # orders whose failure is reported there where none is possible
 CERTIFIED = 4  # grasps of a hold, those with the most contact, that are certified before all of them
-SMALLEST_MARGIN = 1.0  # of a certificate
 TURNS = 12  # rotations of the friction pyramid over which paper mode's sensitivity is taken
 
 

@@ -243,6 +243,18 @@ class Scene:
         pair = self.geometry.collisionPairs[int(self._found.collisionPairIndex)]
         return self.collision_model.bodies[pair.first], self.collision_model.bodies[pair.second]
 
+    def distance(self, pair: tuple[str, str], configuration: Array) -> tuple[float, float]:
+        """Distance between two bodies, negative where they overlap, and what is to be kept between them
+        [m]."""
+        pin.computeDistances(self.robot.model, self.data, self.geometry, self.geometry_data, configuration)
+        found = []
+        for k, indices in enumerate(self.geometry.collisionPairs):
+            bodies = (self.collision_model.bodies[indices.first], self.collision_model.bodies[indices.second])
+            if bodies == pair:
+                margin = float(self._margins[k])
+                found.append((float(self.geometry_data.distanceResults[k].min_distance), margin))
+        return min(found, key=lambda item: item[0] - item[1], default=(np.nan, np.nan))
+
     def colliding(self, configuration: Array) -> list[tuple[str, str, float]]:
         """The pairs of bodies that are too near, with their distance [m], nearest first."""
         pin.computeDistances(self.robot.model, self.data, self.geometry, self.geometry_data, configuration)

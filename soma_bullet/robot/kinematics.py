@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 
@@ -21,7 +22,7 @@ FK_ERROR = 1e-6  # [m, and rad] an inverse-kinematics branch that misses its pos
 class Robot:
     """The cell's arms as one kinematic model.
 
-    Configurations: `q` (6,) is one arm's joints [rad]; `qs` (arms, 6) all arms'; `openings` (arms,) the
+    Configurations: `q` (n,) is one arm's joints [rad]; `qs` those of each arm; `openings` (arms,) the
     distances between the pads [m]."""
 
     def __init__(self, cell: Cell, stand_size: tuple[float, float]):
@@ -40,26 +41,22 @@ class Robot:
     def _slot(self, joint: str) -> int:
         return int(self.model.joints[self.model.getJointId(joint)].idx_q)
 
-    def arm_index(self, arm: str) -> int:
-        """Index of the arm of that name."""
-        return [a.name for a in self.cell.arms].index(arm)
-
     def arm(self, index: int) -> Arm:
         """The arm's description."""
         return self.cell.arms[index]
 
     @cached_property
-    def home(self) -> Array:
-        """Home of all arms (arms, 6) [rad]."""
-        return readonly([arm.q_home for arm in self.cell.arms])
+    def home(self) -> tuple[Array, ...]:
+        """Home of each arm (n,) [rad]."""
+        return tuple(readonly(arm.q_home) for arm in self.cell.arms)
 
     @cached_property
     def closed(self) -> Array:
         """Openings (arms,) of closed hands [m]."""
         return readonly(np.zeros(len(self.cell.arms)))
 
-    def configuration(self, qs: Array, openings: Array) -> Array:
-        """pinocchio's vector for joints (arms, 6) and openings (arms,)."""
+    def configuration(self, qs: Sequence[Array], openings: Array) -> Array:
+        """pinocchio's vector for each arm's joints (n,) and openings (arms,)."""
         q = np.zeros(self.model.nq)
         for arm, (slots, fingers) in enumerate(zip(self._arm_slots, self._finger_slots, strict=True)):
             q[slots] = qs[arm]
@@ -85,7 +82,7 @@ class Robot:
         return found
 
     def tcp(self, arm: int, q: Array) -> Array:
-        """T_world_tcp (4, 4) of one arm at its joints (6,)."""
+        """T_world_tcp (4, 4) of one arm at its joints (n,)."""
         full = np.zeros(self.model.nq)
         full[self._arm_slots[arm]] = q
         pin.framesForwardKinematics(self.model, self.data, full)
@@ -106,15 +103,15 @@ class Robot:
         return int(frame.parentJoint), frame.placement
 
     def inverse(self, arm: int, T_world_tcp: Array, reference: Array) -> Array:
-        """All joint vectors (k, 6) that reach a TCP pose (4, 4), nearest to `reference` (6,) first.
+        """All joint vectors (k, n) that reach a TCP pose (4, 4), nearest to `reference` (n,) first.
 
         Each is wrapped to the turn nearest to it within the limits.
         """
         solver, rotation_home = self._solvers[arm]
         pose = np.array(T_world_tcp)
         pose[:3, :3] = pose[:3, :3] @ rotation_home.T
-        found = np.asarray(solver.IK(pose).Q, float).reshape(-1, 6)
         limits = self.arm(arm)
+        found = np.asarray(solver.IK(pose).Q, float).reshape(-1, len(limits.lower))
         kept: list[Array] = []
         for branch in found[np.isfinite(found).all(axis=1)]:
             q = nearest_turn(branch, reference, limits.lower, limits.upper)
@@ -127,13 +124,13 @@ class Robot:
         )
 
     def follow(self, arm: int, T_world_tcp: Array, previous: Array) -> Array | None:
-        """The joints (6,) nearest to `previous` that reach a TCP pose (4, 4): one step along a line; None
+        """The joints (n,) nearest to `previous` that reach a TCP pose (4, 4): one step along a line; None
         where none do."""
         solver, rotation_home = self._solvers[arm]
         pose = np.array(T_world_tcp)
         pose[:3, :3] = pose[:3, :3] @ rotation_home.T
-        found = np.asarray(solver.IK(pose).Q, float).reshape(-1, 6)
         limits = self.arm(arm)
+        found = np.asarray(solver.IK(pose).Q, float).reshape(-1, len(limits.lower))
         change = (found - previous + np.pi) % (2 * np.pi) - np.pi
         for k in np.abs(change).max(axis=1).argsort(kind="stable").tolist():
             q = previous + change[k]
@@ -160,7 +157,7 @@ def _span(slots: list[int]) -> Slots:
 
 
 def nearest_turn(q: Array, reference: Array, lower: Array, upper: Array) -> Array | None:
-    """q (6,) shifted by whole turns to lie nearest to `reference` within the limits; None where no turn is
+    """q (n,) shifted by whole turns to lie nearest to `reference` within the limits; None where no turn is
     within."""
     turned = reference + (q - reference + np.pi) % (2 * np.pi) - np.pi
     turned = np.where(

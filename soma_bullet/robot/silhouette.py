@@ -3,7 +3,7 @@ another arm."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -39,10 +39,10 @@ class Placed:
 
 
 class Silhouette:
-    """One arm with its hand `opening` [m] wide and (piece, T_tcp_piece) in it, or nothing."""
+    """One arm with its hand `opening` [m] wide and pieces in it at T_tcp_piece (4, 4), or nothing."""
 
     def __init__(
-        self, model: CollisionModel, arm: int, opening: float, carried: tuple[str, Array] | None = None
+        self, model: CollisionModel, arm: int, opening: float, carried: Mapping[str, Array] | None = None
     ):
         self.robot, self.arm = model.robot, arm
         objects = model.geometry.geometryObjects
@@ -50,8 +50,7 @@ class Silhouette:
         self.shapes = [shape.geometry for shape in mine]
         bodies = [body for body, owner in zip(model.bodies, model.arm_of, strict=True) if owner == arm]
         mounts = [(int(shape.parentJoint), pin.SE3(shape.placement)) for shape in mine]
-        if carried is not None:
-            name, T_tcp_piece = carried
+        for name, T_tcp_piece in (carried or {}).items():
             joint, tcp = self.robot.tcp_mount(arm)
             for k, place in model.piece_shapes[name]:
                 self.shapes.append(objects[k].geometry)
@@ -72,7 +71,7 @@ class Silhouette:
     def _on_the_chain(self, mounts: Sequence[tuple[int, pin.SE3]], opening: float) -> list[pin.SE3]:
         """Places of shapes on pinocchio's joints seen from the arm's last joint before those; keeps which
         that is."""
-        qs, openings = np.array(self.robot.home), np.array(self.robot.closed)
+        qs, openings = self.robot.home, np.array(self.robot.closed)
         openings[self.arm] = opening
         data = self.robot.model.createData()
         pin.forwardKinematics(self.robot.model, data, self.robot.configuration(qs, openings))

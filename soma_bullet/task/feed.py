@@ -10,23 +10,19 @@ import numpy as np
 import shapely
 
 from soma_bullet.assembly.model import Assembly
-from soma_bullet.assembly.resting import resting_poses
+from soma_bullet.assembly.resting import steady_poses
 from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import Array, apply, make_transform, readonly, rotation_about
 from soma_bullet.grasp.clearance import SUPPORT_MARGIN, sweep_hand
 from soma_bullet.grasp.hand import Hand
 from soma_bullet.planner.assembly_plan import AssemblyPlan
+from soma_bullet.planner.tables import grasp_poses
 from soma_bullet.robot.model import Cell
-from soma_bullet.task.grasps import grasp_poses
+from soma_bullet.sizes import Sizes
 
-GAP = 0.010  # [m] between the footprints of two pieces
 SIGMAS = 3.0  # of the noise of perception that a hand makes room for
 DRAWS = 10_000
-STEADY_TILT, STEADY_MARGIN = (
-    np.deg2rad(10.0),
-    2e-3,
-)  # [rad], [m] a resting pose that less upsets would tip at a touch
 
 
 @dataclass(frozen=True)
@@ -113,24 +109,6 @@ def serving_grasps(
     return candidates[sweep.above(0.0) > SUPPORT_MARGIN]
 
 
-def steady_poses(piece: Workpiece) -> Array:
-    """T_plane_piece (k, 4, 4) of the resting poses that no touch upsets, most stable first.
-
-    The centre of mass lies at least STEADY_MARGIN inside what the piece stands on, and a tilt of STEADY_TILT
-    about any edge of it falls back. Narrow facets of a round side, on which a piece rolls, are out by either.
-    Where none is steady, the most stable one counts."""
-    poses = resting_poses(piece)
-    steady = []
-    for pose in poses:
-        vertices = apply(pose, piece.vertices)
-        low = vertices[:, 2].min()
-        base = shapely.multipoints(vertices[vertices[:, 2] < low + 1e-6][:, :2]).convex_hull
-        com = apply(pose, piece.center_of_mass)
-        margin = base.exterior.distance(shapely.Point(com[:2])) if base.geom_type == "Polygon" else 0.0
-        steady.append(margin > STEADY_MARGIN and np.arctan2(margin, com[2] - low) > STEADY_TILT)
-    return poses[steady] if any(steady) else poses[:1]
-
-
 def preferred_resting_pose(assembly: Assembly, plan: AssemblyPlan, hand: Hand, name: str) -> Array:
     """T_plane_piece (4, 4) of the steady resting pose with the most grasps that also serve at the goal.
 
@@ -158,6 +136,7 @@ def draw_feed(
         NoSolutionError: the pieces do not fit, or one has no resting pose.
     """
     options = options or FeedOptions()
+    apart = Sizes.of([piece.radius for piece in assembly.pieces]).apart
     hand = cell.arms[0].hand
     if options.layout == "rows":
         return _rows(assembly, plan, cell, seed, options)
@@ -179,7 +158,7 @@ def draw_feed(
             place = rng.uniform(area[:, 0], area[:, 1])
             pose = make_transform(rotation_about((0, 0, 1), rng.uniform(-np.pi, np.pi)), (*place, 0.0)) @ rest
             outline = shapely.multipoints(apply(pose, piece.vertices)[:, :2]).convex_hull
-            if all(outline.distance(other) >= GAP for other in outlines):
+            if all(outline.distance(other) >= apart for other in outlines):
                 break
             overlaps += 1
             if overlaps > DRAWS:

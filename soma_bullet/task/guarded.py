@@ -9,44 +9,43 @@ import numpy as np
 
 from soma_bullet.assembly.hulls import Hull, box_hull
 from soma_bullet.frames import Array
-from soma_bullet.task.segments import PLACE
 from soma_bullet.task.workcell import Workcell
 
-NEAR = 1e-3  # [m] a piece that is nearer to another than this may meet it
-BEFORE = 3e-3  # [m] of slow insertion before it comes so near
 FREE = 2e-3  # [m] of insertion that is never slow: what runs in starts clear
 
 
 def guarded_length(
     workcell: Workcell, piece: str, direction: Array, length: float, standing: Mapping[str, Array]
-) -> float:  # fmt: skip
+) -> float:
     """How long the slow part of an insertion is [m].
 
     Args:
         direction: unit vector of the insertion (3,); length: of all of it [m].
         standing: T_world_piece (4, 4) of the pieces that stand there.
     """
-    assembly = workcell.assembly
+    names, sizes = workcell.assembly.names, workcell.sizes
     moving = _body(workcell, piece, workcell.settled[piece])
-    fixed = [
-        part for name in assembly.names if name in standing for part in _body(workcell, name, standing[name])
-    ]
-    last = last_near(moving, -np.asarray(direction), length, [*fixed, _stand(workcell)])
-    return max(PLACE, min(last + BEFORE, length - FREE))
+    fixed = [part for name in names if name in standing for part in _body(workcell, name, standing[name])]
+    fixed.append(_stand(workcell))
+    last = last_near(moving, -np.asarray(direction), length, fixed, sizes.near)
+    return max(sizes.place, min(last + sizes.before_near, length - FREE))
 
 
 def _body(workcell: Workcell, piece: str, pose: Array) -> list[Hull]:
-    assembly = workcell.assembly
-    return [part.moved(pose) for part in assembly.pieces[assembly.index(piece)].body_parts]
+    return [part.moved(pose) for part in workcell.body(piece).body_parts]
 
 
 def _stand(workcell: Workcell) -> Hull:
-    half = np.array((*workcell.robot.stand_size, max(workcell.cell.stand_height, 2 * NEAR))) / 2
+    half = (
+        np.array((*workcell.robot.stand_size, max(workcell.cell.stand_height, 2 * workcell.sizes.near))) / 2
+    )
     centre = np.array((*workcell.cell.stand_centre, workcell.cell.stand_height - half[2]))
     return box_hull(centre, np.eye(3), half)
 
 
-def last_near(moving: Sequence[Hull], away: Array, length: float, fixed: Sequence[Hull]) -> float:
+def last_near(
+    moving: Sequence[Hull], away: Array, length: float, fixed: Sequence[Hull], near: float
+) -> float:
     """How far polytopes can move along a unit vector (3,), at most `length` [m], and still be nearer than
     NEAR to others.
 
@@ -56,8 +55,8 @@ def last_near(moving: Sequence[Hull], away: Array, length: float, fixed: Sequenc
     sweep = away * length
     for body in moving:
         low, high = (
-            body.bounds[0] + np.minimum(sweep, 0.0) - NEAR,
-            body.bounds[1] + np.maximum(sweep, 0.0) + NEAR,
+            body.bounds[0] + np.minimum(sweep, 0.0) - near,
+            body.bounds[1] + np.maximum(sweep, 0.0) + near,
         )
         for other in fixed:
             if (other.bounds[0] > high).any() or (other.bounds[1] < low).any():
@@ -67,9 +66,9 @@ def last_near(moving: Sequence[Hull], away: Array, length: float, fixed: Sequenc
             axes = np.vstack([body.axes, other.axes, crossed[norms > 1e-9] / norms[norms > 1e-9, None]])
             mine, theirs = axes @ body.vertices.T, axes @ other.vertices.T
             first = (
-                theirs.min(1) - mine.max(1) - NEAR
+                theirs.min(1) - mine.max(1) - near
             )  # along the axis the body must have come farther than this
-            beyond = theirs.max(1) - mine.min(1) + NEAR  # and less far than that
+            beyond = theirs.max(1) - mine.min(1) + near  # and less far than that
             speed = axes @ away
             moves = np.abs(speed) > 1e-9
             if ((first >= 0) | (beyond <= 0))[~moves].any():

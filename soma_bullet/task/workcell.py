@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from soma_bullet.assembly.contacts import SUPPORT
 from soma_bullet.assembly.model import Assembly
+from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.errors import InputError
-from soma_bullet.frames import Array, make_transform, readonly, rotation_angle
+from soma_bullet.frames import Array, inverse, make_transform, readonly, rotation_angle
+from soma_bullet.grasp.hand import Hand
 from soma_bullet.robot.collision import CollisionModel, Scene, Situation
 from soma_bullet.robot.kinematics import Robot
 from soma_bullet.robot.model import Cell
+from soma_bullet.sizes import Sizes
+from soma_bullet.task.state import CellState
 
 SMALLEST_STAND = 0.03  # [m]
 STAND_RIM = 0.005  # [m] of stand around the footprint
-STAND, TABLE = "stand", "table"
-OFF, TURNED = (
-    2e-3,
-    np.deg2rad(2.0),
-)  # [m], [rad] a piece in place that is off by less counts as where it should be
+STAND = "stand"
+# [m], [rad] a piece in place that is off by less counts as where it should be
+OFF, TURNED = 2e-3, np.deg2rad(2.0)
 HEAD_ON = 0.5  # cosine between a direction and what stops a motion along it
 
 
@@ -49,38 +50,6 @@ def assembly_frame(assembly: Assembly, cell: Cell) -> Array:
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Hands:
-    """What the arms do at one moment.
-
-    Attributes:
-        qs: joints (arms, 6) [rad].
-        openings: distances between the pads (arms,) [m].
-        gripped: arm -> piece between its fingers.
-    """
-
-    qs: Array
-    openings: Array
-    gripped: Mapping[int, str] = field(default_factory=dict)
-
-    def with_arm(self, arm: int, q: Array, opening: float | None = None) -> Hands:
-        """The same with one arm elsewhere."""
-        qs, openings = self.qs.copy(), self.openings.copy()
-        qs[arm] = q
-        if opening is not None:
-            openings[arm] = opening
-        return replace(self, qs=qs, openings=openings)
-
-    def gripping(self, arm: int, piece: str | None) -> Hands:
-        """The same with one hand on a piece, or on none."""
-        kept = {hand: name for hand, name in self.gripped.items() if hand != arm}
-        return replace(self, gripped={**kept, arm: piece} if piece is not None else kept)
-
-    def holder(self, piece: str) -> int | None:
-        """The arm whose hand has a piece between its fingers."""
-        return next((arm for arm, name in self.gripped.items() if name == piece), None)
-
-
 class Workcell:
     """One assembly in one cell: robot, collision model, and goals in the world."""
 
@@ -97,6 +66,7 @@ class Workcell:
             self.robot, {piece.name: piece.body_parts for piece in assembly.pieces}
         )
         self.T_world_assembly = readonly(assembly_frame(assembly, cell))
+        self.sizes = Sizes.of([piece.radius for piece in assembly.pieces])
 
     @cached_property
     def goals(self) -> dict[str, Array]:
@@ -147,30 +117,49 @@ class Workcell:
         contacts = [c.into(above) for c in self.assembly.contacts if {c.body_a, c.body_b} == {below, above}]
         return any(float(c.normal @ up) > HEAD_ON for c in contacts)
 
-    def idle(self) -> Hands:
-        """Both arms at home, hands closed and empty."""
-        return Hands(np.array(self.robot.home), np.array(self.robot.closed))
+    def body(self, name: str) -> Workpiece:
+        """A piece by its name."""
+        return self.assembly.pieces[self.assembly.index(name)]
+
+    def hand(self, arm: int) -> Hand:
+        """The hand of an arm."""
+        return self.cell.arms[arm].hand
+
+    def idle(self, poses: Mapping[str, Array] | None = None) -> CellState:
+        """All arms at home, hands closed and empty, nothing in place, the pieces at T_world_piece (4, 4)."""
+        return CellState(poses or {}, tuple(self.robot.home), self.robot.closed)
+
+    def carried(self, state: CellState, arm: int) -> dict[str, Array]:
+        """T_tcp_piece (4, 4) of each piece that moves with an arm."""
+        if arm not in state.carried:
+            return {}
+        body = state.gripped[arm]
+        T_body = inverse(state.poses[body]) if len(state.members(body)) > 1 else np.eye(4)
+        others = {
+            piece: state.carried[arm] @ T_body @ state.poses[piece] for piece in state.members(body)[1:]
+        }
+        return {body: state.carried[arm], **others}
 
     def scene(
         self,
-        poses: Mapping[str, Array],
-        hands: Hands,
+        state: CellState,
         arm: int,
-        carried: tuple[str, Array] | None = None,
         touching: frozenset[frozenset[str]] = frozenset(),
         alone: bool = False,
     ) -> Scene:
-        """A scene: one arm moves, maybe carrying (piece, T_tcp_piece); the others stand still or (`alone`)
-        are left out."""
-        still = {name: pose for name, pose in poses.items() if carried is None or name != carried[0]}
-        held = {} if carried is None else {carried[0]: (arm, carried[1])}
+        """The scene in which one arm moves, with what it carries; the others stand still or (`alone`) are
+        left out."""
+        carried = {piece: (arm, T) for piece, T in self.carried(state, arm).items()}
+        still = {name: pose for name, pose in state.poses.items() if name not in carried}
         absent = frozenset(k for k in range(len(self.cell.arms)) if alone and k != arm)
-        gripped = {
-            name: k for k, name in sorted(hands.gripped.items(), key=lambda item: item[0] == arm)
-        }  # the mover's counts
-        return self.collision.scene(Situation(still, frozenset({arm}), held, gripped, touching, absent))
+        gripped: dict[str, int] = {}
+        for hand, name in sorted(
+            state.gripped.items(), key=lambda item: item[0] == arm
+        ):  # the mover's counts
+            gripped |= dict.fromkeys(state.members(name), hand)
+        return self.collision.scene(Situation(still, frozenset({arm}), carried, gripped, touching, absent))
 
-    def configuration(self, hands: Hands, arm: int, q: Array, opening: float | None = None) -> Array:
+    def configuration(self, state: CellState, arm: int, q: Array, opening: float | None = None) -> Array:
         """pinocchio's vector with one arm at q."""
-        moved = hands.with_arm(arm, q, opening)
+        moved = state.with_arm(arm, q, opening)
         return self.robot.configuration(moved.qs, moved.openings)

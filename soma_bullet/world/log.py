@@ -8,6 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from soma_bullet.frames import Array, from_quat_xyzw, readonly
+from soma_bullet.world.simulator import Sample
+
+RECORDED = ("joints", "targets", "places", "tcps", "wrenches", "grips")  # of every sample
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +28,7 @@ class SegmentRecord:
     """
 
     kind: str
-    step: int
+    step: int | None
     arm: str
     piece: str
     start: float
@@ -54,9 +57,10 @@ class ExecutionLog:
         cell, assembly, digest, seed, order: what was executed.
         stand: footprint [m]; T_world_assembly: (4, 4).
         joint_names: all joints of the composed URDF that move (j).
+        target_names: joints of the arms, one arm after the other (t).
         arm_names, piece_names.
         times: (m,) [s].
-        joints: (m, j); targets: commanded arm joints (m, a, 6) [rad].
+        joints: (m, j); targets: commanded joints of the arms (m, t) [rad].
         poses: T_world_piece as position and quat_xyzw (m, n, 7).
         tcps: T_world_tcp likewise (m, a, 7).
         wrenches: at the wrists, as the sensors report (m, a, 6) [N, N m].
@@ -78,6 +82,7 @@ class ExecutionLog:
     stand: tuple[float, float]
     T_world_assembly: Array
     joint_names: tuple[str, ...]
+    target_names: tuple[str, ...]
     arm_names: tuple[str, ...]
     piece_names: tuple[str, ...]
     times: Array
@@ -113,26 +118,24 @@ class Recorder:
     """Collects samples while a world runs."""
 
     def __init__(self) -> None:
-        self.rows: dict[str, list[Array]] = {
-            name: [] for name in ("times", "joints", "targets", "poses", "tcps", "wrenches", "grips")
-        }
+        self.times: list[float] = []
+        self.rows: dict[str, list[Array]] = {name: [] for name in RECORDED}
         self.contacts: list[tuple[int, int, int, float, float]] = []
         self.segments: list[SegmentRecord] = []
         self.events: list[Event] = []
 
     def __len__(self) -> int:
-        return len(self.rows["times"])
+        return len(self.times)
 
-    def add(self, **values: object) -> None:
-        """One sample of every array."""
+    def add(self, time: float, sample: Sample) -> None:
+        """One moment."""
+        self.contacts += [(len(self), *contact) for contact in sample.contacts]
+        self.times.append(time)
         for name, rows in self.rows.items():
-            rows.append(np.array(values[name], float))
-
-    def touch(self, body_a: int, body_b: int, force: float, distance: float) -> None:
-        """A contact at the sample that is about to be added."""
-        self.contacts.append((len(self), body_a, body_b, force, distance))
+            rows.append(np.array(getattr(sample, name), float))
 
     def arrays(self) -> dict[str, Array]:
         """Everything stacked and read-only."""
         stacked = {name: readonly(np.array(rows)) for name, rows in self.rows.items()}
-        return {**stacked, "contacts": readonly(np.array(self.contacts, float).reshape(-1, 5))}
+        contacts = readonly(np.array(self.contacts, float).reshape(-1, 5))
+        return {"times": readonly(np.array(self.times)), **stacked, "contacts": contacts}

@@ -1,0 +1,118 @@
+"""Lengths and forces that depend on how large the workpieces and the hands are: the one place that has them.
+
+The values were measured with Soma pieces of 28 to 36 mm and 13 to 18 g, in a hand with fingers of 73 mm. They
+hold as they are for pieces of about that size. Larger or smaller ones scale them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+SMALLEST, LARGEST = 0.026, 0.040  # [m] median radius of pieces for which the values hold as they are
+FINGER = 0.073  # [m] from the pads' centre to the palm of the hand for which way_out holds as it is
+LEAST, MOST = 0.4, 3.0  # factors beyond which nothing scales: no hand and no wrist is so fine, or so strong
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What scales with the workpieces of one assembly.
+
+    Lengths grow with the pieces. Forces grow likewise: what a piece's weight resists grows with the cube of
+    its size, what a pad bears before the piece turns in the hand falls with its lever.
+
+    Attributes:
+        scale: of lengths and forces; 1 for Soma pieces.
+    """
+
+    scale: float
+
+    @classmethod
+    def of(cls, radii: Sequence[float]) -> Sizes:
+        """Of pieces with the given radii [m]: the largest distance of a vertex from the centre of mass."""
+        middle = float(np.median(radii))
+        scale = middle / np.clip(middle, SMALLEST, LARGEST)
+        return cls(float(np.clip(scale, LEAST, MOST)))
+
+    @cached_property
+    def run_in(self) -> float:
+        """Insertion beyond the piece's own size [m]."""
+        return 0.012 * self.scale
+
+    @cached_property
+    def lift(self) -> float:
+        """Straight up from the table, and down to it [m]."""
+        return 0.06 * self.scale
+
+    @cached_property
+    def place(self) -> float:
+        """The end of an insertion, which is slowest and guarded [m]."""
+        return 0.010 * self.scale
+
+    @cached_property
+    def near(self) -> float:
+        """A piece that is nearer to another may meet it [m]."""
+        return 1e-3 * self.scale
+
+    @cached_property
+    def before_near(self) -> float:
+        """Slow insertion before it comes so near [m]."""
+        return 3e-3 * self.scale
+
+    @cached_property
+    def beyond(self) -> float:
+        """How far a guarded line goes on beyond its end until it meets what carries the piece [m]."""
+        return 1.5e-3 * self.scale
+
+    @cached_property
+    def fall(self) -> float:
+        """The last way straight down of what comes in at a slant [m]."""
+        return 1e-3 * self.scale
+
+    @cached_property
+    def jam(self) -> float:
+        """A guarded motion that stops farther from its end is jammed [m]."""
+        return 1e-3 * self.scale
+
+    @cached_property
+    def seated(self) -> float:
+        """A guided motion that meets resistance nearer to its end has arrived [m]."""
+        return 0.35e-3 * self.scale
+
+    @cached_property
+    def empty(self) -> float:
+        """Pads nearer to each other than a piece's width less this hold nothing [m]."""
+        return 2e-3 * self.scale
+
+    @cached_property
+    def apart(self) -> float:
+        """Between the outlines of two pieces of a feed [m]."""
+        return 0.010 * self.scale
+
+    @cached_property
+    def room(self) -> float:
+        """Between a piece that is put down and others [m]."""
+        return 0.02 * self.scale
+
+    @cached_property
+    def guard(self) -> float:
+        """Change of the wrist's force that ends a placing [N]."""
+        return 1.0 * self.scale
+
+    @cached_property
+    def touch(self) -> float:
+        """The same on the last way straight down: pressed on with more, a piece pivots in the hand [N]."""
+        return 0.3 * self.scale
+
+    @cached_property
+    def resting(self) -> float:
+        """With which a piece rests that the hand does not press on [N]."""
+        return 0.15 * self.scale
+
+
+def way_out(finger: float) -> float:
+    """How far a hand goes straight to a grasp and back from it [m], by the length of its fingers [m]."""
+    return 0.06 * finger / FINGER

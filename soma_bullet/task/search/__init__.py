@@ -1,0 +1,1 @@
+"""Which actions in which order: candidates, limits, regrasps, rearrangement."""
