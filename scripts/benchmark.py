@@ -187,6 +187,8 @@ def stages(arguments: Stages, say: Callable[[str], object]) -> None:
 def run(arguments: Stages, say: Callable[[str], object]) -> dict[str, Any]:
     """Figures of every stage: median and 95th percentile [s]."""
     import numpy as np
+    from soma_bullet.task.builder import ProgramBuilder
+    from soma_bullet.task.segments import MOTIONS
 
     from soma_bullet.assembly.file import load_assembly
     from soma_bullet.episode import EpisodeOptions, execute
@@ -195,11 +197,9 @@ def run(arguments: Stages, say: Callable[[str], object]) -> dict[str, Any]:
     from soma_bullet.planner.qualities import PlannerOptions, Qualities
     from soma_bullet.records import package_versions
     from soma_bullet.robot.cell import load_cell
-    from soma_bullet.task.builder import ProgramBuilder
     from soma_bullet.task.feed import draw_feed
-    from soma_bullet.task.program import make_program
-    from soma_bullet.task.schedule import Scheduler
-    from soma_bullet.task.segments import MOTIONS
+    from soma_bullet.task.program.make import make_program
+    from soma_bullet.task.search.scheduler import Scheduler
     from soma_bullet.task.workcell import Workcell
 
     watch = Stopwatch()
@@ -524,14 +524,14 @@ def motion(arguments: Motion, say: Callable[[str], object]) -> None:
 def _queries(name: str, workcell: Any, seed: int, poses: str) -> list[Query]:
     """The motions around obstacles of one program; none where there is no program."""
     import numpy as np
+    from soma_bullet.task.segments import SPEEDS, contexts
 
     from soma_bullet.errors import NoSolutionError
     from soma_bullet.planner.qualities import PlannerOptions
     from soma_bullet.planner.store import kept_plan
     from soma_bullet.task.feed import FeedOptions, draw_feed
-    from soma_bullet.task.motions import widths_between
-    from soma_bullet.task.program import make_program
-    from soma_bullet.task.segments import SPEEDS, contexts
+    from soma_bullet.task.program.make import make_program
+    from soma_bullet.task.program.motions import widths_between
 
     cell = workcell.cell
     plan = kept_plan(workcell.assembly, cell.arms[0].hand, PlannerOptions(seed=seed))
@@ -558,12 +558,12 @@ def _time_chain(workcell: Any, query: Query) -> Timed:
     """From the pose of the hand at the goal to the timed motion, checked again; the scene is there
     already."""
     import numpy as np
+    from soma_bullet.task.builder import scene_of
 
     from soma_bullet.motion.line import LineError, line_back
     from soma_bullet.motion.timing import TimingError
     from soma_bullet.motion.transfer import TransferError
     from soma_bullet.task import motions
-    from soma_bullet.task.builder import scene_of
 
     robot, segment, context = workcell.robot, query.segment, query.context
     arm, start, goal = segment.arm, context.hands.qs[segment.arm], segment.path[-1]
@@ -837,8 +837,8 @@ def simulate(arguments: Simulate) -> None:
     from soma_bullet.planner.store import kept_plan
     from soma_bullet.robot.cell import load_cell
     from soma_bullet.task.feed import FeedOptions, draw_feed
-    from soma_bullet.task.overlap import overlapped
-    from soma_bullet.task.program import make_program
+    from soma_bullet.task.program.make import make_program
+    from soma_bullet.task.program.overlap.loosen import overlapped
     from soma_bullet.task.workcell import Workcell
 
     options = EpisodeOptions(

@@ -48,7 +48,7 @@ _converter.register_structure_hook_func(_is_array, lambda value, _: _frozen(valu
 _converter.register_structure_hook(float, lambda value, _: float(value))
 
 
-def register_family(base: type, members: Mapping[str, type]) -> None:
+def register_family(base: Any, members: Mapping[str, Any]) -> None:
     """Let records hold values of any class of a family where `base` is asked for, each under its class's
     name.
 
@@ -66,10 +66,11 @@ def register_family(base: type, members: Mapping[str, type]) -> None:
     def unstructure(value: Any) -> Any:
         return {"class": type(value).__name__, **_plain_hook(type(value), "unstructure")(value)}
 
-    _converter.register_structure_hook_func(lambda kind: kind is base, structure)
-    _converter.register_unstructure_hook_func(
-        lambda kind: isinstance(kind, type) and issubclass(kind, base), unstructure
-    )
+    def belongs(kind: Any) -> bool:
+        return isinstance(kind, type) and issubclass(kind, base)
+
+    _converter.register_structure_hook_func(belongs, structure)
+    _converter.register_unstructure_hook_func(belongs, unstructure)
 
 
 def register_names(kind: type, members: Mapping[str, Any]) -> None:

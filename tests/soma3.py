@@ -11,8 +11,8 @@ from soma_bullet.planner.qualities import PlannerOptions
 from soma_bullet.planner.store import kept_plan
 from soma_bullet.robot.cell import load_cell
 from soma_bullet.task.feed import FeedOptions, draw_feed
-from soma_bullet.task.program import make_program
-from soma_bullet.task.segments import Program
+from soma_bullet.task.program.make import make_program
+from soma_bullet.task.program.program import Program
 from soma_bullet.task.workcell import Workcell
 
 

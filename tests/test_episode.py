@@ -19,7 +19,7 @@ from soma_bullet.pictures.film import FilmOptions
 from soma_bullet.records import VERSIONED, read_npz, to_tree
 from soma_bullet.report.report import EpisodeReport
 from soma_bullet.robot.cell import load_cell
-from soma_bullet.task.segments import Program
+from soma_bullet.task.program.program import Program
 from soma_bullet.world.log import ExecutionLog
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("episode")]

@@ -17,7 +17,7 @@ from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.bullet.quiet import pybullet as p
 from soma_bullet.bullet.simulator import LOOKS_EVERY, BulletSimulator
 from soma_bullet.bullet.stage import Physics
-from soma_bullet.control.travel import STALE, STALE_POINTS, WATCH
+from soma_bullet.bullet.upkeep import EVERY, STALE, STALE_POINTS
 from soma_bullet.frames import (
     Array,
     apply,
@@ -568,7 +568,7 @@ def test_a_round_piece_tilts_less_where_its_contacts_are_renewed_more_often(cell
                 q[5] += np.deg2rad(120) / 480
                 world.command_arm(0, q)
                 world.step()
-                if k % WATCH == 0:
+                if k % EVERY == 0:
                     here = world.tcp_pose(0)
                     if not stale and rotation_angle(anchored[:3, :3], here[:3, :3]) > every:
                         stale, anchored = [0, 1], here

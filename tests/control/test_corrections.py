@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -11,10 +12,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from soma_bullet.control.correction import GONE_MM, SHARES, Correction
-from soma_bullet.control.executive import DOUBT, LOOKS, ExecutionOptions, Executive
+from soma_bullet.control.executive import ExecutionOptions, Executive
+from soma_bullet.control.placement import DOUBT, LOOKS
 from soma_bullet.frames import Array, inverse
 from soma_bullet.task.feed import FeedOptions
-from soma_bullet.task.segments import Segment
+from soma_bullet.task.segment import Segment
 from tests.soma3 import planned
 
 
@@ -24,7 +26,7 @@ def before_placing(
     """The first piece is about to be placed, displaced in the hand by a shift [m] and a turn [rad] about the
     hand's centre."""
     workcell, plan, program = planned()
-    segment = next(s for s in program.segments if s.kind == "place")
+    segment = next(s for s in program.segments if s.kind.name == "place")
     robot, arm = workcell.robot, segment.arm
     T_tcp_piece = inverse(robot.tcp(arm, segment.path[-1])) @ workcell.settled[segment.piece]
     slip = np.eye(4)
@@ -34,10 +36,11 @@ def before_placing(
     poses = {name: np.array(program.feed.pose(name)) for name in program.feed.names}
     poses[segment.piece] = robot.tcp(arm, qs[arm]) @ slip @ T_tcp_piece
     world = SimpleNamespace(measured_joints=lambda: qs, piece_poses=lambda: poses, time=0.0)
-    executor = SimpleNamespace(world=world, recorder=SimpleNamespace(events=[]))
+    events: list[tuple[str, str, str]] = []
+    executor = SimpleNamespace(world=world, events=events, note_event=lambda *event: events.append(event))
     feed = FeedOptions(noise_mm=noise[0], noise_deg=noise[1])
     executive = Executive(workcell, plan, program, executor, feed, ExecutionOptions())  # type: ignore[arg-type]
-    executive.gripped = {arm: segment.piece}
+    executive.state = executive.state.gripping(arm, segment.piece)
     return executive, segment
 
 
@@ -57,15 +60,22 @@ def ends_at_goal(executive: Executive, segment: Segment, shift: Array, turn: Arr
 
 def _index(executive: Executive, segment: Segment) -> int:
     return next(
-        k for k, s in enumerate(executive.program.segments) if (s.kind, s.piece) == ("place", segment.piece)
+        k
+        for k, s in enumerate(executive.program.segments)
+        if (s.kind.name, s.piece) == ("place", segment.piece)
     )
 
 
 def corrected(executive: Executive, segment: Segment) -> Correction:
     program = executive.program
-    return executive._corrected(
-        segment, partial(executive._beside, program, _index(executive, segment), set()), DOUBT
-    )
+    concurrent = partial(executive._concurrent, program, _index(executive, segment), set())
+    return executive.placement._corrected(segment, concurrent, executive._alone, DOUBT)
+
+
+def bent_beside(executive: Executive, segment: Segment, arms: Callable[[], object]) -> Correction:
+    """Corrected beside arms that are made up."""
+    placement = executive.placement
+    return placement._corrected(segment, arms, executive._alone, DOUBT)  # type: ignore[arg-type]
 
 
 NOTHING = np.zeros(3)
@@ -96,7 +106,7 @@ def test_not_while_the_other_hand_carries_too() -> None:
     """Recoveries know of one carried piece: with two, as much is corrected as the joints allow."""
     turn = np.deg2rad(np.array((0.0, 25.0, 0.0)))
     executive, segment = before_placing(NOTHING, turn)
-    executive.gripped[1 - segment.arm] = executive.plan.order[-1]
+    executive.state = executive.state.gripping(1 - segment.arm, executive.plan.order[-1])
     bent = corrected(executive, segment).segment
     assert (
         ends_at_goal(executive, bent, NOTHING, turn)[1] < ends_at_goal(executive, segment, NOTHING, turn)[1]
@@ -108,7 +118,7 @@ def test_a_large_turn_is_made_up_for_as_exactly(turned: float) -> None:
     """Along the Jacobian alone the piece would end 0.4 mm off."""
     turn = np.deg2rad(np.array((0.0, turned, 0.0)))
     executive, segment = before_placing(NOTHING, turn)
-    executive.gripped[1 - segment.arm] = executive.plan.order[-1]
+    executive.state = executive.state.gripping(1 - segment.arm, executive.plan.order[-1])
     bent = corrected(executive, segment).segment
     off, left = ends_at_goal(executive, bent, NOTHING, turn)
     assert off < 5e-6 and left < 1e-4
@@ -116,7 +126,7 @@ def test_a_large_turn_is_made_up_for_as_exactly(turned: float) -> None:
 
 def test_a_hand_that_closes_counts_as_carrying() -> None:
     executive, segment = before_placing(NOTHING, NOTHING)
-    grasp = next(s for s in executive.program.segments if s.kind == "grasp" and s.arm != segment.arm)
+    grasp = next(s for s in executive.program.segments if s.kind.name == "grasp" and s.arm != segment.arm)
 
     def interrupted() -> None:
         raise InterruptedError
@@ -124,7 +134,7 @@ def test_a_hand_that_closes_counts_as_carrying() -> None:
     executive.executor.begin, executive.executor.tick = lambda segment: None, interrupted  # type: ignore[method-assign]
     with pytest.raises(InterruptedError):
         executive._run(replace(executive.program, segments=(grasp,), after=((),)))
-    assert executive.gripped == {segment.arm: segment.piece, grasp.arm: grasp.piece}
+    assert executive.state.gripped == {segment.arm: segment.piece, grasp.arm: grasp.piece}
 
 
 def test_a_piece_that_is_seen_far_away_is_lost() -> None:
@@ -136,10 +146,9 @@ def test_looks_that_err_are_averaged_and_logged_once() -> None:
     turn = np.deg2rad(np.array((0.0, 1.2, 0.0)))
     executive, segment = before_placing(NOTHING, turn, noise=(0.5, 0.5))
     bent = corrected(executive, segment).segment
-    assert executive.looks == LOOKS
+    assert executive.perception.count == LOOKS
     assert ends_at_goal(executive, bent, NOTHING, turn)[1] < np.deg2rad(0.5)
-    (event,) = executive.executor.recorder.events
-    assert (event.kind, event.text) == ("looked", f"{LOOKS} times")
+    assert executive.executor.events == [("looked", "", f"{LOOKS} times")]  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("most", (1.0, 0.6, 0.3, 0.1))
@@ -154,7 +163,7 @@ def test_no_correction_brings_the_arms_together(most: float) -> None:
         share = np.abs(path[-1] - segment.path[-1]).max() / np.abs(change).max()
         return enough if share <= most + 1e-9 else 0.5 * enough
 
-    bent = executive._corrected(segment, lambda: SimpleNamespace(gap=gap), DOUBT).segment  # type: ignore[arg-type, return-value]
+    bent = bent_beside(executive, segment, lambda: SimpleNamespace(gap=gap)).segment
     made = np.abs(bent.path[-1] - segment.path[-1]).max() / np.abs(change).max()
     assert 0.99 * max(s for s in SHARES if s <= most) <= made <= most + 1e-9
 
@@ -162,7 +171,7 @@ def test_no_correction_brings_the_arms_together(most: float) -> None:
 def test_what_cannot_be_made_up_for_beside_the_other_arm_is_planned_anew() -> None:
     executive, segment = before_placing(NOTHING, np.deg2rad(np.array((0.0, 1.8, 0.0))))
     near = SimpleNamespace(gap=lambda path, enough: enough if path is segment.path else 0.0)
-    assert executive._corrected(segment, lambda: near, DOUBT).fault == "turned"  # type: ignore[arg-type, return-value]
+    assert bent_beside(executive, segment, lambda: near).fault == "turned"
 
 
 @pytest.mark.parametrize(
@@ -182,5 +191,5 @@ def test_arms_that_were_planned_near_each_other_may_come_a_little_nearer(
     built on it."""
     executive, segment = before_placing(NOTHING, np.deg2rad(np.array((0.0, 0.6, 0.0))))
     near = SimpleNamespace(gap=lambda path, enough: planned if path is segment.path else left)
-    bent = executive._corrected(segment, lambda: near, DOUBT).segment  # type: ignore[arg-type, return-value]
+    bent = bent_beside(executive, segment, lambda: near).segment
     assert np.allclose(bent.path[-1], segment.path[-1]) != made

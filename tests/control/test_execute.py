@@ -15,20 +15,22 @@ from soma_bullet.bullet.simulator import BulletSimulator
 from soma_bullet.bullet.stage import Physics
 from soma_bullet.control.execute import FINAL_SETTLE, Executor
 from soma_bullet.control.guide import Compliance
-from soma_bullet.control.travel import RESTING
 from soma_bullet.frames import Array, make_transform, readonly
 from soma_bullet.motion.line import sample_line
 from soma_bullet.motion.timing import HandLimits, time_path
 from soma_bullet.robot.cell import load_cell
 from soma_bullet.robot.kinematics import Robot
 from soma_bullet.robot.model import Cell
-from soma_bullet.task.segments import BEYOND, CLOSING, DT, FOLLOWING, GUARD, Kind, Segment
+from soma_bullet.sizes import Sizes
+from soma_bullet.task.kinds import KINDS
+from soma_bullet.task.segment import CLOSING, DT, FOLLOWING, Segment
 from tests.blocks import SIDE, assembly, box
 
+SIZES = Sizes(1.0)
+GUARD, BEYOND = SIZES.guard, SIZES.beyond
 STAND = (0.03, 0.03)
 PLACE = np.array((-0.1, 0.25, 2 * SIDE))  # of the TCP over the block [m]
 DOWN = np.diag([1.0, -1.0, -1.0])
-NONE = readonly(np.zeros(3))
 
 
 @pytest.fixture(scope="module")
@@ -53,9 +55,9 @@ def executor(
     assignment."""
     stands = make_transform(translation=(*block_at, 1.5 * SIDE - whole.pieces[0].clearance))
     qs = np.array([q, cell.arms[1].q_home])
-    physics = Physics(grip_force=20.0, record_every=record_every)
+    physics = Physics(grip_force=20.0)
     world = BulletSimulator(cell, whole, STAND, {"block": stands}, qs, physics)
-    schedule = SimpleNamespace(assignments=(SimpleNamespace(step=0, width=SIDE),))
+    schedule = SimpleNamespace(assignments=())
     program: Any = SimpleNamespace(
         schedule=schedule,
         assembly="test",
@@ -65,7 +67,7 @@ def executor(
         stand=STAND,
         T_world_assembly=np.eye(4),
     )
-    return Executor(world, program)
+    return Executor(world, program, SIZES, record_every=record_every)
 
 
 def reach(robot: Robot, cell: Cell, place: Array) -> Array:
@@ -79,20 +81,20 @@ def pressed(world: BulletSimulator) -> float:
     return sum(force for a, b, force, _ in world.contacts() if {names[a], names[b]} == {"block", "table"})
 
 
-def wait(kind: Kind, duration: float, opening: float = np.nan) -> Segment:
-    return Segment(kind, 0, 0, "block", readonly(np.zeros((0, 6))), NONE, opening, duration, 0.0, SIDE)
+def wait(kind: str, duration: float, opening: float | None = None) -> Segment:
+    return Segment(KINDS[kind], 0, 0, "block", opening=opening, duration=duration, width=SIDE)
 
 
 def line(
-    robot: Robot, cell: Cell, q: Array, offset: Array, kind: Kind, guard: float = 0.0, speed: float = 0.1
+    robot: Robot, cell: Cell, q: Array, offset: Array, kind: str, guard: float = 0.0, speed: float = 0.1
 ) -> Segment:
     path, travel = sample_line(robot, 0, q, offset)
     arm = cell.arms[0]
     timed = time_path(path, arm.velocity, arm.acceleration, DT, travel, HandLimits(speed, 0.3))
-    return Segment(kind, 0, 0, "block", readonly(timed), readonly(offset), np.nan, 0.0, guard)
+    return Segment(KINDS[kind], 0, 0, "block", readonly(timed), readonly(offset), guard=guard)
 
 
-def lowered(over: Executor, robot: Robot, by: float, kind: Kind) -> Segment:
+def lowered(over: Executor, robot: Robot, by: float, kind: str) -> Segment:
     """A guarded line straight down from where the arm is, that yields."""
     segment = line(robot, over.world.cell, over.world.targets[0], np.array((0, 0, -by)), kind, GUARD, 0.010)
     return replace(segment, compliance=readonly(np.linalg.pinv(robot.jacobian(0, segment.path[-1]))))
@@ -270,24 +272,24 @@ def test_what_rests_on_something_is_not_pressed(over: Executor, robot: Robot) ->
     over.travel.tares[0] = over.travel.tares[0] - (
         0.0,
         0.0,
-        2 * RESTING,
+        2 * SIZES.resting,
         0.0,
         0.0,
         0.0,
     )  # something leans on it from below
-    held = over.world.targets.copy()
+    held = over.world.target(0)
     seen = over.run(
         replace(wait("follow", FOLLOWING), guard=GUARD, compliance=lowering.compliance, beyond=BEYOND)
     )
     assert seen.outcome == "as planned" and over.recorder.segments[-1].peak_force == 0.0
-    np.testing.assert_array_equal(over.world.targets, held)
+    np.testing.assert_array_equal(over.world.target(0), held)
 
 
 def test_without_compliance_a_hand_that_should_follow_stays(over: Executor) -> None:
     over.run(wait("grasp", CLOSING, 0.0))
-    before = over.world.targets.copy()
+    before = over.world.target(0)
     seen = over.run(replace(wait("follow", FOLLOWING), guard=GUARD, beyond=BEYOND))
-    np.testing.assert_array_equal(over.world.targets, before)
+    np.testing.assert_array_equal(over.world.target(0), before)
     record = over.recorder.segments[-1]
     assert seen.outcome == "as planned" and record.end - record.start == pytest.approx(FOLLOWING)
 
@@ -299,7 +301,7 @@ def test_the_final_rest_ends_the_log(cell: Cell, block: Assembly) -> None:
     run.world.close()
     assert (log.segments[-1].kind, log.segments[-1].end) == ("final", pytest.approx(FINAL_SETTLE))
     count = len(log.times)
-    assert log.joints.shape == (count, len(log.joint_names)) and log.targets.shape == (count, 2, 6)
+    assert log.joints.shape == (count, len(log.joint_names)) and log.targets.shape == (count, 12)
     assert log.poses.shape == (count, 1, 7) and log.tcps.shape == (count, 2, 7)
     assert log.wrenches.shape == (count, 2, 6) and log.grips.shape == (count, 2)
     assert log.contacts.shape[1] == 5 and (log.contacts[:, 0] < count).all()

@@ -11,13 +11,15 @@ import pytest
 from soma_bullet.bullet.simulator import BulletSimulator
 from soma_bullet.bullet.stage import Physics
 from soma_bullet.control.execute import Executor, Observation
-from soma_bullet.control.executive import ExecutionOptions, Executive, _Trouble
+from soma_bullet.control.executive import ExecutionOptions, Executive
 from soma_bullet.control.guide import Compliance
+from soma_bullet.control.recovery import Trouble
 from soma_bullet.judge.judge import Tolerance, judge
 from soma_bullet.task.feed import FeedOptions, draw_feed
-from soma_bullet.task.overlap import overlapped
-from soma_bullet.task.program import make_program
-from soma_bullet.task.segments import Program, Segment
+from soma_bullet.task.program.make import make_program
+from soma_bullet.task.program.overlap.loosen import overlapped
+from soma_bullet.task.program.program import Program
+from soma_bullet.task.segment import Segment
 from soma_bullet.world.log import ExecutionLog
 from tests.soma3 import planned
 
@@ -44,10 +46,10 @@ def ran(
     """An episode with the pieces at T_world_piece (4, 4)."""
     workcell, plan, _ = planned()
     world = BulletSimulator(
-        workcell.cell, workcell.assembly, program.stand, poses, np.array(workcell.robot.home), Physics()
+        workcell.cell, workcell.assembly, program.stand, poses, workcell.robot.home, Physics()
     )
     try:
-        executor = Executor(world, program, Compliance())
+        executor = Executor(world, program, workcell.sizes, Compliance())
         ended = kind(workcell, plan, program, executor, FeedOptions(), options).run()
         executor.settle()
         return executor.log(ended)
@@ -73,18 +75,19 @@ class _Interrupted(Executive):
     pieces = 2
     interrupted = False
 
-    def _after(self, program: Program, k: int, segment: Segment, seen: Observation) -> _Trouble | None:
+    def _after(self, program: Program, k: int, segment: Segment, seen: Observation) -> Trouble | None:
         trouble = super()._after(program, k, segment, seen)
-        carried = {arm: piece for arm, piece in self.gripped.items() if piece not in self.placed}
+        state = self.state
+        carried = {arm: body for arm, body in state.gripped.items() if body not in state.placed}
         if (
             self.interrupted
-            or segment.kind != "grasp"
+            or segment.kind.name != "grasp"
             or len(carried) < 2
             or len(set(carried.values())) != self.pieces
         ):
             return trouble
         self.interrupted = True
-        return _Trouble(k, segment, seen, "interrupted")
+        return Trouble(k, segment, seen, "interrupted")
 
 
 class _InterruptedHandOver(_Interrupted):

@@ -83,6 +83,7 @@ def made_log(cell: Cell, assembly: Assembly, episode: tuple[Row, ...] = EPISODE)
     return ExecutionLog(
         cell=cell.name, assembly=assembly.name, digest=assembly.digest, seed=7, order=("Z", "BigL", "smallL"),
         stand=(0.03, 0.03), T_world_assembly=T_world_assembly, joint_names=tuple(joints),
+        target_names=cell.joint_names,
         arm_names=tuple(arm.name for arm in cell.arms), piece_names=assembly.names, times=times,
         joints=np.tile(list(joints.values()), (len(times), 1)), targets=empty, poses=poses,
         tcps=np.tile(tcp[:arms], (len(times), 1, 1)), wrenches=empty, grips=empty, contacts=empty, bodies=(),

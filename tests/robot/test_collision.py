@@ -58,7 +58,11 @@ def states(robot: Robot, count: int, seed: int) -> Iterator[Array]:
     rng = np.random.default_rng(seed)
     lower, upper = (np.array([getattr(arm, side) for arm in robot.cell.arms]) for side in ("lower", "upper"))
     for k in range(count):
-        qs = rng.uniform(lower, upper) if k % 2 else robot.home + rng.uniform(-0.8, 0.8, robot.home.shape)
+        qs = (
+            rng.uniform(lower, upper)
+            if k % 2
+            else np.array(robot.home) + rng.uniform(-0.8, 0.8, np.shape(robot.home))
+        )
         yield robot.configuration(qs, rng.uniform(0.0, 0.08, 2))
 
 

@@ -88,7 +88,6 @@ def test_one_arm_leaves_the_other_alone(robot: Robot) -> None:
     assert len(vector) == robot.model.nq == 16
     for arm in (0, 1):
         assert vector[robot.arm_slots(arm)] == pytest.approx(qs[arm])
-        assert robot.arm_index(robot.arm(arm).name) == arm
     fingers = np.delete(vector, np.r_[robot.arm_slots(0), robot.arm_slots(1)])
     assert sorted(fingers) == pytest.approx([0.01, 0.01, 0.03, 0.03])
 

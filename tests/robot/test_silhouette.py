@@ -13,7 +13,7 @@ from soma_bullet.robot.collision import CollisionModel, Situation
 from soma_bullet.robot.kinematics import Robot
 from soma_bullet.robot.silhouette import Obstacle, Silhouette, distance
 
-CARRIED = ("Z", make_transform(rotation_about((0, 1, 0), 0.4), (0.01, 0.02, 0.03)))
+CARRIED = {"Z": make_transform(rotation_about((0, 1, 0), 0.4), (0.01, 0.02, 0.03))}
 
 
 @pytest.fixture(scope="module")
@@ -33,8 +33,8 @@ def somewhere(model: CollisionModel, arm: int, seed: int, count: int = 40) -> Ar
 
 @pytest.mark.parametrize("arm", [0, 1])
 def test_shapes_are_where_the_collision_scene_has_them(model: CollisionModel, arm: int) -> None:
-    opening, piece = 0.03, CARRIED[0]
-    scene = model.scene(Situation({}, frozenset({arm}), {piece: (arm, CARRIED[1])}, {piece: arm}))
+    opening, (piece, T_tcp_piece) = 0.03, *CARRIED.items()
+    scene = model.scene(Situation({}, frozenset({arm}), {piece: (arm, T_tcp_piece)}, {piece: arm}))
     mine = [k for k, body in enumerate(model.bodies) if model.arm_of[k] == arm or body == piece]
     path = somewhere(model, arm, arm, 5)
     track = Silhouette(model, arm, opening, CARRIED).along(path)

@@ -10,25 +10,25 @@ import pytest
 import shapely
 
 from soma_bullet.assembly.model import Assembly
+from soma_bullet.assembly.resting import STEADY_MARGIN, STEADY_TILT, steady_poses
 from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import Array, apply, readonly
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.robot.model import Cell
+from soma_bullet.sizes import Sizes
 from soma_bullet.task.feed import (
-    GAP,
-    STEADY_MARGIN,
-    STEADY_TILT,
     Feed,
     FeedOptions,
     draw_feed,
     misplace,
     preferred_resting_pose,
     serving_grasps,
-    steady_poses,
 )
 
 SEEDS = range(50)
 ALL = FeedOptions(poses="all")
+
+APART = Sizes(1.0).apart  # [m]
 
 
 @pytest.fixture(scope="module")
@@ -122,7 +122,7 @@ def test_pieces_keep_apart(feeds: list[Feed], soma3: Assembly) -> None:
     for feed in feeds:
         outlines = [outline(feed, soma3, name) for name in soma3.names]
         gaps = [a.distance(b) for k, a in enumerate(outlines) for b in outlines[k + 1 :]]
-        assert min(gaps) >= GAP
+        assert min(gaps) >= APART
     assert sum(feed.overlaps for feed in feeds) > 0
     assert all(0 <= feed.rejected < 1 for feed in feeds)
 
@@ -169,7 +169,7 @@ def test_rows(soma3: Assembly, plan: AssemblyPlan, cell: Cell) -> None:
         assert (centre[:2] > area[:, 0]).all() and (centre[:2] < area[:, 1]).all()
         assert centre[1] == pytest.approx(area[1].mean())
     outlines = [outline(feed, soma3, name) for name in soma3.names]
-    assert min(a.distance(b) for k, a in enumerate(outlines) for b in outlines[k + 1 :]) > GAP
+    assert min(a.distance(b) for k, a in enumerate(outlines) for b in outlines[k + 1 :]) > APART
 
 
 def test_feed_areas_that_are_too_small(

@@ -11,9 +11,7 @@ from soma_bullet.assembly.separation import swept_separation
 from soma_bullet.frames import Array
 from soma_bullet.planner.store import kept_plan
 from soma_bullet.robot.model import Cell
-from soma_bullet.task.guarded import BEFORE, FREE, NEAR, guarded_length, last_near
-from soma_bullet.task.placing import RUN_IN
-from soma_bullet.task.segments import PLACE
+from soma_bullet.task.guarded import FREE, guarded_length, last_near
 from soma_bullet.task.workcell import Workcell
 
 
@@ -21,6 +19,7 @@ from soma_bullet.task.workcell import Workcell
 def test_it_is_what_samples_along_the_way_say(name: str, cell: Cell) -> None:
     assembly = load_assembly(name)
     workcell, plan = Workcell(assembly, cell), kept_plan(assembly, cell.arms[0].hand)
+    sizes = workcell.sizes
     for k, step in enumerate(plan.steps):
         standing = {s.piece: workcell.settled[s.piece] for s in plan.steps[:k]}
 
@@ -32,19 +31,18 @@ def test_it_is_what_samples_along_the_way_say(name: str, cell: Cell) -> None:
             [part for n in standing for part in body(n)],
             -np.array(step.direction),
         )
-        length = step.way + RUN_IN
-        last = last_near(moving, away, length, fixed)
+        length = step.way + workcell.sizes.run_in
+        last = last_near(moving, away, length, fixed, sizes.near)
         for s in np.arange(0.0, length, 1e-3):
             gap = (
                 swept_separation([part.moved(_shift(s * away)) for part in moving], np.zeros(3), fixed)
                 if fixed
                 else np.inf
             )
-            assert gap >= NEAR - 1e-9 or s <= last + 1e-9
+            assert gap >= sizes.near - 1e-9 or s <= last + 1e-9
         guarded = guarded_length(workcell, step.piece, np.array(step.direction), length, standing)
-        assert max(PLACE, min(last + BEFORE, length - FREE)) <= guarded + 1e-9 and PLACE <= guarded <= max(
-            PLACE, length - FREE
-        )
+        assert max(sizes.place, min(last + sizes.before_near, length - FREE)) <= guarded + 1e-9
+        assert sizes.place <= guarded <= max(sizes.place, length - FREE)
 
 
 def _shift(by: Array) -> Array:
@@ -59,6 +57,8 @@ def test_a_peg_is_guarded_in_its_hole(cell: Cell) -> None:
     step = plan.steps[-1]
     standing = {s.piece: workcell.settled[s.piece] for s in plan.steps[:-1]}
     assert (
-        guarded_length(workcell, step.piece, np.array(step.direction), step.way + RUN_IN, standing)
-        > 2 * PLACE
+        guarded_length(
+            workcell, step.piece, np.array(step.direction), step.way + workcell.sizes.run_in, standing
+        )
+        > 2 * workcell.sizes.place
     )

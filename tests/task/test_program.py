@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,10 @@ from soma_bullet.motion.timing import limit_margins
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.records import read_npz, write_npz
 from soma_bullet.task.feed import Feed
-from soma_bullet.task.program import make_program, replan
-from soma_bullet.task.segments import DT, MOTIONS, PLACE, SPEEDS, Program, Segment
-from soma_bullet.task.workcell import Hands, Workcell
+from soma_bullet.task.program.make import make_program, replan
+from soma_bullet.task.program.program import Program
+from soma_bullet.task.segment import DT, Segment
+from soma_bullet.task.workcell import Workcell
 
 STEP = ["transit", "approach", "grasp", "lift", "transfer", "insert", "place", "settle"]
 EXCESS = 1.03  # of a limit, by differences between samples
@@ -57,11 +59,11 @@ def assert_straight(workcell: Workcell, segment: Segment) -> None:
 def test_every_piece_goes_through_every_stage(program: Program, plan: AssemblyPlan) -> None:
     for step, piece in enumerate(plan.order):
         mine = [s for s in program.segments if s.step == step]
-        assert [s.kind for s in mine[: len(STEP)]] == STEP
+        assert [s.kind.name for s in mine[: len(STEP)]] == STEP
         assert all(
             (s.piece, s.arm) == (piece, program.schedule.assignments[step].arm) for s in mine[: len(STEP)]
         )
-        rest = [s.kind for s in mine[len(STEP) :]]
+        rest = [s.kind.name for s in mine[len(STEP) :]]
         releases = len(program.schedule.assignments[step].releases)
         changes = [kind for kind in rest if kind != "follow"]
         assert changes[: 2 * releases] == ["release", "retreat"] * releases
@@ -72,12 +74,12 @@ def test_every_piece_goes_through_every_stage(program: Program, plan: AssemblyPl
 def test_what_is_held_on_a_piece_follows_when_that_is_let_go(program: Program, workcell: Workcell) -> None:
     """In soma3 each piece stands on the one before: whoever holds the upper one then lets it down, and nobody
     else does."""
-    follows = [k for k, s in enumerate(program.segments) if s.kind == "follow"]
+    follows = [k for k, s in enumerate(program.segments) if s.kind.name == "follow"]
     held = {}
     for k, segment in enumerate(program.segments):
-        if segment.kind == "settle":
+        if segment.kind.name == "settle":
             held[segment.arm] = segment.piece
-        elif segment.kind == "release" and segment.piece in held.values():
+        elif segment.kind.name == "release" and segment.piece in held.values():
             held.pop(segment.arm)
             expected = {(arm, piece) for arm, piece in held.items() if workcell.carries(segment.piece, piece)}
             found = {(program.segments[j].arm, program.segments[j].piece) for j in (k + 1,) if j in follows}
@@ -87,7 +89,7 @@ def test_what_is_held_on_a_piece_follows_when_that_is_let_go(program: Program, w
 
 def test_segments_start_where_the_arm_is(program: Program, workcell: Workcell) -> None:
     for _, segment, qs in states(program, workcell):
-        if segment.kind in MOTIONS:
+        if segment.kind.moves:
             assert np.abs(segment.path[0] - qs[segment.arm]).max() < 1e-6, segment.kind
         else:
             assert len(segment.path) == 0 and segment.duration > 0
@@ -99,11 +101,11 @@ def test_both_arms_end_at_home_with_empty_hands(program: Program, workcell: Work
     for segment in program.segments:
         if len(segment.path):
             qs[segment.arm] = segment.path[-1]
-        if segment.kind == "grasp":
+        if segment.kind.name == "grasp":
             gripped[segment.piece] = segment.arm
-        elif segment.kind == "release":
+        elif segment.kind.name == "release":
             assert gripped.pop(segment.piece) == segment.arm
-        elif segment.kind in ("transit", "home"):
+        elif segment.kind.name in ("transit", "home"):
             assert segment.arm not in gripped.values()
     assert gripped == {}
     np.testing.assert_allclose(qs, workcell.robot.home, atol=1e-6)
@@ -112,13 +114,15 @@ def test_both_arms_end_at_home_with_empty_hands(program: Program, workcell: Work
 def test_an_insertion_ends_at_the_goal(program: Program, workcell: Workcell) -> None:
     for a in program.schedule.assignments:
         insert, place = (
-            next(s for s in program.segments if (s.kind, s.step) == (kind, a.step))
+            next(s for s in program.segments if (s.kind.name, s.step) == (kind, a.step))
             for kind in ("insert", "place")
         )
-        np.testing.assert_allclose(insert.path[0], a.q_ready, atol=1e-6)
-        np.testing.assert_allclose(place.path[-1], a.q_goal, atol=1e-6)
-        np.testing.assert_allclose(insert.offset + place.offset, a.length * a.direction, atol=1e-12)
-        assert np.linalg.norm(place.offset) == pytest.approx(PLACE)
+        np.testing.assert_allclose(insert.path[0], a.insert.q_ready, atol=1e-6)
+        np.testing.assert_allclose(place.path[-1], a.insert.q_goal, atol=1e-6)
+        np.testing.assert_allclose(
+            insert.offset + place.offset, a.insert.way.length * a.insert.way.direction, atol=1e-12
+        )
+        assert np.linalg.norm(place.offset) == pytest.approx(workcell.sizes.place)
         assert place.guard > 0 and insert.guard == 0
 
 
@@ -136,13 +140,13 @@ def test_joints_keep_their_ranges_and_speeds(program: Program, workcell: Workcel
 
 
 def test_lines_are_straight_and_slow(program: Program, workcell: Workcell) -> None:
-    lines = [segment for segment in program.segments if segment.kind in SPEEDS]
-    assert {segment.kind for segment in lines} == set(SPEEDS) - {"lower", "set_down"}
+    lines = [segment for segment in program.segments if segment.kind.way == "line"]
+    assert {segment.kind.name for segment in lines} == {"approach", "lift", "insert", "place", "retreat"}
     for segment in lines:
         assert_straight(workcell, segment)
         steps = np.linalg.norm(np.diff(tips(workcell, segment, 10)[:-1, :3, 3], axis=0), axis=1)
-        assert steps.max(initial=0.0) / (10 * DT) <= SPEEDS[segment.kind].speed * EXCESS
-        if segment.kind == "place":
+        assert steps.max(initial=0.0) / (10 * DT) <= segment.kind.limits.speed * EXCESS
+        if segment.kind.name == "place":
             assert 1.0 <= segment.seconds <= 2.0
 
 
@@ -167,13 +171,13 @@ def test_arms_never_meet_each_other_or_the_table(program: Program, workcell: Wor
     """Checked again every 50 ms without the pieces, with the hands as wide as they are then."""
     hands = workcell.idle()
     for _, segment, qs in states(program, workcell):
-        hands = Hands(qs, hands.openings)
-        scene = workcell.scene({}, hands, segment.arm)
+        hands = replace(hands, qs=tuple(qs))
+        scene = workcell.scene(hands, segment.arm)
         for q in segment.path[:: round(0.05 / DT)]:
             assert not scene.collides(workcell.configuration(hands, segment.arm, q)), segment.kind
-        if segment.kind == "grasp":
+        if segment.kind.name == "grasp":
             hands = hands.with_arm(segment.arm, qs[segment.arm], segment.width)
-        elif not np.isnan(segment.opening):
+        elif segment.opening is not None:
             hands = hands.with_arm(segment.arm, qs[segment.arm], segment.opening)
 
 
@@ -183,24 +187,24 @@ def test_pieces_in_place_stay_clear_of_empty_hands(program: Program, workcell: W
     hands = workcell.idle()
     gripped: dict[int, str] = {}
     for _, segment, qs in states(program, workcell):
-        if segment.kind in ("transit", "home"):
+        if segment.kind.name in ("transit", "home"):
             poses = {
                 n: workcell.settled[n] if n in placed else program.feed.pose(n) for n in program.feed.names
             }
-            now = Hands(qs, hands.openings, dict(gripped))
-            scene = workcell.scene(poses, now, segment.arm)
+            now = replace(hands, poses=poses, qs=tuple(qs), gripped=dict(gripped))
+            scene = workcell.scene(now, segment.arm)
             for q in segment.path[:: round(0.05 / DT)]:
                 assert not scene.collides(workcell.configuration(now, segment.arm, q, segment.opening)), (
                     segment.kind
                 )
-        if segment.kind == "grasp":
+        if segment.kind.name == "grasp":
             gripped[segment.arm] = segment.piece
             hands = hands.with_arm(segment.arm, qs[segment.arm], segment.width)
-        elif segment.kind == "settle":
+        elif segment.kind.name == "settle":
             placed.add(segment.piece)
-        elif segment.kind == "retreat":
+        elif segment.kind.name == "retreat":
             gripped.pop(segment.arm)
-        if not np.isnan(segment.opening) and segment.kind != "grasp":
+        if segment.opening is not None and segment.kind.name != "grasp":
             hands = hands.with_arm(segment.arm, qs[segment.arm], segment.opening)
 
 
@@ -232,12 +236,12 @@ def perturbed(qs: Array, arm: int, size: float, seed: int = 0) -> Array:
 def test_a_line_is_made_anew_from_where_the_arm_is(kind: str, program: Program, workcell: Workcell) -> None:
     size = 1e-3 if kind == "retreat" else 2e-4
     for k, segment, qs in itertools.islice(
-        ((k, s, q) for k, s, q in states(program, workcell) if s.kind == kind), 2
+        ((k, s, q) for k, s, q in states(program, workcell) if s.kind.name == kind), 2
     ):
         measured = perturbed(qs, segment.arm, size)
         made = replan(workcell, program, k, measured)
         assert (made.path[0] == measured[segment.arm]).all()
-        assert (made.kind, made.step, made.piece, made.guard, made.duration) == (
+        assert (made.kind.name, made.step, made.piece, made.guard, made.duration) == (
             kind,
             segment.step,
             segment.piece,
@@ -250,7 +254,7 @@ def test_a_line_is_made_anew_from_where_the_arm_is(kind: str, program: Program, 
 
 @pytest.mark.parametrize("kind", ["transit", "transfer", "home"])
 def test_a_transfer_is_made_anew_to_the_same_end(kind: str, program: Program, workcell: Workcell) -> None:
-    k, segment, qs = next((k, s, q) for k, s, q in states(program, workcell) if s.kind == kind)
+    k, segment, qs = next((k, s, q) for k, s, q in states(program, workcell) if s.kind.name == kind)
     measured = perturbed(qs, segment.arm, 1e-3)
     made = replan(workcell, program, k, measured)
     assert (made.path[0] == measured[segment.arm]).all()
@@ -264,7 +268,7 @@ def _limits(workcell: Workcell, arm: int) -> tuple[Array, Array]:
 
 
 def test_what_cannot_be_made_from_there_says_so(program: Program, workcell: Workcell) -> None:
-    k, segment, qs = next((k, s, q) for k, s, q in states(program, workcell) if s.kind == "lift")
+    k, segment, qs = next((k, s, q) for k, s, q in states(program, workcell) if s.kind.name == "lift")
     stretched = qs.copy()
     stretched[segment.arm] = (
         0.0,

@@ -14,25 +14,22 @@ from soma_bullet.frames import Array, from_quat_xyzw, inverse, make_transform, r
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.records import read_npz, write_npz
 from soma_bullet.robot.model import Cell
-from soma_bullet.task.assignments import Carried, PutDown, Square, Start
+from soma_bullet.task.actions.hold import Hold
+from soma_bullet.task.actions.put_down import PutDown
+from soma_bullet.task.actions.square import Square
 from soma_bullet.task.feed import Feed, FeedOptions, draw_feed
-from soma_bullet.task.overlap import overlapped
-from soma_bullet.task.program import make_program, recover_program
-from soma_bullet.task.schedule import Scheduler
-from soma_bullet.task.segments import MOTIONS, Context, Program, contexts
+from soma_bullet.task.program.make import make_program, recover_program
+from soma_bullet.task.program.overlap.loosen import overlapped
+from soma_bullet.task.program.program import Program, moments
+from soma_bullet.task.search.scheduler import Scheduler
+from soma_bullet.task.state import CellState
 from soma_bullet.task.workcell import Workcell
 
 
-def found(context: Context) -> Start:
-    """The state after a segment, as an executive would report it."""
-    carried = sorted(context.carried.items())
-    carrying = tuple(Carried(piece, arm, T_tcp_piece) for arm, (piece, T_tcp_piece) in carried)
-    held = {arm: piece for arm, piece in context.hands.gripped.items() if piece in context.placed}
-    return Start(len(context.placed), dict(context.poses), replace(context.hands, gripped=held), carrying)
-
-
-def after(workcell: Workcell, program: Program, kind: str, piece: str) -> Start:
-    return next(found(c) for _, s, c in contexts(workcell, program) if (s.kind, s.piece) == (kind, piece))
+def after(workcell: Workcell, program: Program, kind: str, piece: str) -> CellState:
+    """The state after a segment."""
+    along = moments(workcell, program)
+    return next(state for _, s, state in along if (s.kind.name, s.piece) == (kind, piece))
 
 
 def _some_grasp(plan: AssemblyPlan, piece: str) -> Array:
@@ -41,18 +38,18 @@ def _some_grasp(plan: AssemblyPlan, piece: str) -> Array:
     return from_quat_xyzw(pose[:3], pose[3:])
 
 
-def assert_goes_on(workcell: Workcell, program: Program, start: Start) -> None:
+def assert_goes_on(workcell: Workcell, program: Program, start: CellState) -> None:
     """Every path starts where the arm is; in the end all pieces are in place and both hands empty at home."""
     assert program.start is start
-    np.testing.assert_array_equal(next(contexts(workcell, program))[0].hands.qs, start.hands.qs)
-    for before, segment, _ in contexts(workcell, program):
-        if segment.kind in MOTIONS:
-            assert np.abs(segment.path[0] - before.hands.qs[segment.arm]).max() < 1e-6, segment.kind
-    *_, (_, _, last) = contexts(workcell, program)
+    np.testing.assert_array_equal(next(moments(workcell, program))[0].qs, start.qs)
+    for before, segment, _ in moments(workcell, program):
+        if segment.kind.moves:
+            assert np.abs(segment.path[0] - before.qs[segment.arm]).max() < 1e-6, segment.kind
+    *_, (_, _, last) = moments(workcell, program)
     for name in workcell.assembly.names:
         np.testing.assert_allclose(last.poses[name], workcell.settled[name], atol=1e-5)
-    assert last.hands.gripped == {} and last.carried == {}
-    np.testing.assert_allclose(last.hands.qs, workcell.robot.home, atol=1e-6)
+    assert last.gripped == {} and last.carried == {}
+    np.testing.assert_allclose(last.qs, workcell.robot.home, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -96,23 +93,23 @@ def test_a_piece_in_the_hand_goes_straight_in(
     workcell: Workcell, plan: AssemblyPlan, program: Program
 ) -> None:
     made = recover_program(workcell, plan, after(workcell, program, "transfer", "BigL"), 0)
-    assert [s.kind for s in made.segments if s.piece == "BigL"][:4] == [
+    assert [s.kind.name for s in made.segments if s.piece == "BigL"][:4] == [
         "transfer",
         "insert",
         "place",
         "settle",
     ]
-    assert made.schedule.assignments[0].in_hand
+    assert made.schedule.assignments[0].bring == ()
 
 
 def test_a_piece_that_sits_wrong_in_the_hand_is_gripped_anew(
     workcell: Workcell, plan: AssemblyPlan, program: Program
 ) -> None:
     start = after(workcell, program, "transfer", "Z")
-    (carried,) = start.carrying
-    turned = make_transform(rotation_about((1, 0, 0), np.deg2rad(20.0))) @ carried.T_tcp_piece
-    pose = workcell.robot.tcp(carried.arm, start.hands.qs[carried.arm]) @ turned
-    start = replace(start, carrying=(replace(carried, T_tcp_piece=turned),), poses={**start.poses, "Z": pose})
+    ((arm, T_tcp_piece),) = start.carried.items()
+    turned = make_transform(rotation_about((1, 0, 0), np.deg2rad(20.0))) @ T_tcp_piece
+    pose = workcell.robot.tcp(arm, start.qs[arm]) @ turned
+    start = replace(start, carried={arm: turned}, poses={**start.poses, "Z": pose})
     made = recover_program(workcell, plan, start, 0)
     assert_goes_on(workcell, made, start)
     assert made.schedule.assignments[0].regrasps
@@ -122,15 +119,15 @@ def test_a_piece_whose_turn_is_later_is_put_down(
     workcell: Workcell, plan: AssemblyPlan, program: Program
 ) -> None:
     start = after(workcell, program, "transfer", "Z")
-    (carried,) = start.carrying
-    last = plan.order[-1]
-    poses = {**start.poses, last: start.poses["Z"], "Z": program.feed.pose("Z")}
-    carrying = Carried(last, carried.arm, inverse(_some_grasp(plan, last)))
-    poses[last] = workcell.robot.tcp(carrying.arm, start.hands.qs[carrying.arm]) @ carrying.T_tcp_piece
-    start = replace(start, carrying=(carrying,), poses=poses)
+    (arm,) = start.carried
+    last, poses = plan.order[-1], {**start.poses, "Z": program.feed.pose("Z")}
+    T_tcp_piece = inverse(_some_grasp(plan, last))
+    poses[last] = workcell.robot.tcp(arm, start.qs[arm]) @ T_tcp_piece
+    start = replace(start, gripped={arm: last}, carried={arm: T_tcp_piece}, poses=poses)
     made = recover_program(workcell, plan, start, 0)
     first = made.schedule.assignments[0].regrasps[0]
-    assert isinstance(first, PutDown) and first.piece == last and first.pick is None
+    assert isinstance(first, PutDown) and first.piece == last
+    assert first is made.schedule.assignments[0].bring[0]
     assert_goes_on(workcell, made, start)
 
 
@@ -139,15 +136,16 @@ def test_a_hold_that_was_lost_is_taken_up_again(
 ) -> None:
     """Z stands, nothing holds it, and the plan wants it held: a free hand takes it before the next step."""
     start = after(workcell, program, "place", "Z")
-    idle = replace(workcell.idle(), gripped={})
-    start = replace(start, hands=idle)
+    idle = workcell.idle()
+    start = replace(start, qs=idle.qs, openings=idle.openings, gripped={}, carried={})
     made = recover_program(workcell, plan, start, 0)
-    (take,) = made.schedule.takes
+    (take,) = made.schedule.changes
+    assert isinstance(take, Hold)
     assert take.piece == "Z" and take.certificate.margin >= 1
-    assert [s.kind for s in made.segments[:3]] == ["transit", "approach", "grasp"]
+    assert [s.kind.name for s in made.segments[:3]] == ["transit", "approach", "grasp"]
     assert made.segments[2].width == take.width
-    grip = [c for _, s, c in contexts(workcell, made) if s.kind == "grasp"][0]
-    assert grip.hands.gripped == {take.arm: "Z"} and grip.carried == {}
+    grip = [c for _, s, c in moments(workcell, made) if s.kind.name == "grasp"][0]
+    assert grip.gripped == {take.arm: "Z"} and grip.carried == {}
     assert_goes_on(workcell, made, start)
 
 
@@ -193,17 +191,17 @@ def test_of_two_pieces_in_hands_the_later_is_put_down(
     program = overlapped(
         workcell, make_program(workcell, plan, draw_feed(soma3, plan, cell, seed, FeedOptions()), 0)
     )
-    starts = [found(context) for _, _, context in contexts(workcell, program)]
-    both = [start for start in starts if len({carried.piece for carried in start.carrying}) == 2]
+    starts = [state for _, _, state in moments(workcell, program)]
+    both = [start for start in starts if len({start.gripped[arm] for arm in start.carried}) == 2]
     assert both
     for start in both:
         made = recover_program(workcell, plan, start, 3)
         assert_goes_on(workcell, made, start)
-        first, later = sorted((carried.piece for carried in start.carrying), key=plan.order.index)
+        first, later = sorted((start.gripped[arm] for arm in start.carried), key=plan.order.index)
         assignment = made.schedule.assignments[0]
-        assert assignment.in_hand and assignment.piece == first
-        (put,) = assignment.regrasps
-        assert isinstance(put, PutDown) and put.pick is None and put.piece == later
+        assert assignment.pick is None and assignment.piece == first
+        (put,) = assignment.bring
+        assert isinstance(put, PutDown) and put.piece == later
 
 
 def test_a_piece_that_cannot_be_put_down_where_planned_is_put_down_elsewhere(
@@ -211,11 +209,10 @@ def test_a_piece_that_cannot_be_put_down_where_planned_is_put_down_elsewhere(
 ) -> None:
     """What the motions rule out is not proposed again."""
     start = after(workcell, program, "lift", plan.order[1])
-    (carried,) = start.carrying
-    hands = workcell.idle().with_arm(
-        carried.arm, start.hands.qs[carried.arm], float(start.hands.openings[carried.arm])
-    )
-    start = replace(start, step=0, hands=hands, poses={**start.poses, "Z": program.feed.pose("Z")})
+    (arm,) = start.carried
+    held = workcell.idle().with_arm(arm, start.qs[arm], float(start.openings[arm]))
+    held = held.gripping(arm, start.gripped[arm]).carrying(arm, start.carried[arm])
+    start = replace(held, poses={**start.poses, "Z": program.feed.pose("Z")})
     names = workcell.assembly.names
     scheduler = Scheduler(
         workcell, plan, Feed(names, np.array([start.poses[name] for name in names]), 0, 0, 0), start
@@ -225,6 +222,6 @@ def test_a_piece_that_cannot_be_put_down_where_planned_is_put_down_elsewhere(
         assignment = scheduler.find().assignments[0]
         put = assignment.regrasps[0]
         assert isinstance(put, PutDown)
-        places.append(put.pose_down.tobytes())
+        places.append(put.place)
         scheduler.rule_out(assignment, put)
     assert len(set(places)) == 3

@@ -12,14 +12,16 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import readonly
 from soma_bullet.planner.assembly_plan import AssemblyPlan
+from soma_bullet.planner.assist import SMALLEST_MARGIN
 from soma_bullet.planner.equilibrium import classify
-from soma_bullet.task import placing, schedule, search
-from soma_bullet.task.assignments import HandOver, PutDown, Schedule
+from soma_bullet.planner.tables import grasp_poses
+from soma_bullet.task.actions.hand_over import HandOver
+from soma_bullet.task.actions.put_down import PutDown
 from soma_bullet.task.feed import Feed, FeedOptions, draw_feed
-from soma_bullet.task.grasps import grasp_poses
-from soma_bullet.task.holding import SMALLEST_MARGIN
-from soma_bullet.task.schedule import Scheduler
-from soma_bullet.task.tracing import APPROACH, LIFT
+from soma_bullet.task.limits import Effort
+from soma_bullet.task.schedule import Schedule
+from soma_bullet.task.search import placing, search
+from soma_bullet.task.search.scheduler import Scheduler
 from soma_bullet.task.workcell import Workcell
 
 SEEDS = (0, 1)
@@ -45,18 +47,18 @@ def test_every_step_of_the_plan_is_assigned(case: tuple[Feed, Schedule], plan: A
     _, schedule = case
     assert [(a.step, a.piece) for a in schedule.assignments] == list(enumerate(plan.order))
     for a, step in zip(schedule.assignments, plan.steps, strict=True):
-        np.testing.assert_allclose(a.direction, step.direction)
-        assert a.length > step.way
+        np.testing.assert_allclose(a.insert.way.direction, step.direction)
+        assert a.insert.way.length > step.way
 
 
 def test_grasps_are_the_plans(case: tuple[Feed, Schedule], plan: AssemblyPlan, workcell: Workcell) -> None:
     for a, step in zip(case[1].assignments, plan.steps, strict=True):
-        assert a.grasp in step.grasps
+        assert a.insert.grasp in step.grasps
         for hold in step.holds:
             if hold.piece == a.piece:
-                assert a.grasp in hold.grasps
-        assert a.width == grasp_poses(plan, a.piece)[1][a.grasp]
-        assert 0 < a.width <= workcell.cell.arms[a.arm].hand.opening
+                assert a.insert.grasp in hold.grasps
+        assert a.insert.width == grasp_poses(plan, a.piece)[1][a.insert.grasp]
+        assert 0 < a.insert.width <= workcell.cell.arms[a.arm].hand.opening
 
 
 def test_held_is_what_the_plan_holds(case: tuple[Feed, Schedule], plan: AssemblyPlan) -> None:
@@ -76,10 +78,10 @@ def test_the_holder_does_not_insert(case: tuple[Feed, Schedule]) -> None:
 
 def test_holds_have_their_certificate(case: tuple[Feed, Schedule]) -> None:
     for a in case[1].assignments:
-        assert (a.certificate is not None) == (a.piece in a.holds)
-        if a.certificate is not None:
-            assert a.certificate.margin >= SMALLEST_MARGIN
-            assert a.certificate.load.push > 0
+        assert (a.insert.certificate is not None) == (a.piece in a.holds)
+        if a.insert.certificate is not None:
+            assert a.insert.certificate.margin >= SMALLEST_MARGIN
+            assert a.insert.certificate.load.push > 0
 
 
 def test_letting_go_lets_nothing_fall(case: tuple[Feed, Schedule], soma3: Assembly) -> None:
@@ -99,19 +101,25 @@ def test_joints_reach_what_they_are_for(
 ) -> None:
     feed, schedule = case
     for a in schedule.assignments:
-        grasp, tcp = grasp_poses(plan, a.piece)[0][a.grasp], lambda q, arm=a.arm: workcell.robot.tcp(arm, q)
+        grasp, tcp = (
+            grasp_poses(plan, a.piece)[0][a.insert.grasp],
+            lambda q, arm=a.arm: workcell.robot.tcp(arm, q),
+        )
+        lift, out = workcell.sizes.lift, workcell.hand(a.arm).way_out
         pick, goal = feed.pose(a.piece) @ grasp, workcell.settled[a.piece] @ grasp
-        np.testing.assert_allclose(tcp(a.q_pick), pick, atol=2e-6)
-        np.testing.assert_allclose(tcp(a.q_goal), goal, atol=2e-6)
-        np.testing.assert_allclose(tcp(a.q_before)[:3, 3], pick[:3, 3] - APPROACH * pick[:3, 2], atol=2e-6)
-        np.testing.assert_allclose(tcp(a.q_lifted)[:3, 3], pick[:3, 3] + (0, 0, LIFT), atol=2e-6)
-        np.testing.assert_allclose(tcp(a.q_ready)[:3, 3], goal[:3, 3] - a.length * a.direction, atol=2e-6)
+        np.testing.assert_allclose(tcp(a.pick.q_pick), pick, atol=2e-6)
+        np.testing.assert_allclose(tcp(a.insert.q_goal), goal, atol=2e-6)
+        np.testing.assert_allclose(tcp(a.pick.q_before)[:3, 3], pick[:3, 3] - out * pick[:3, 2], atol=2e-6)
+        np.testing.assert_allclose(tcp(a.pick.q_lifted)[:3, 3], pick[:3, 3] + (0, 0, lift), atol=2e-6)
+        np.testing.assert_allclose(
+            tcp(a.insert.q_ready)[:3, 3], goal[:3, 3] + a.insert.way.sweep()[-1], atol=2e-6
+        )
         for q in (
-            a.q_before,
-            a.q_pick,
-            a.q_lifted,
-            a.q_ready,
-            a.q_goal,
+            a.pick.q_before,
+            a.pick.q_pick,
+            a.pick.q_lifted,
+            a.insert.q_ready,
+            a.insert.q_goal,
             *(r.q_end for r in a.releases if r.arm == a.arm),
         ):
             arm = workcell.robot.arm(a.arm)
@@ -125,8 +133,8 @@ def test_the_same_search_finds_the_same(
     feed, schedule = scheduled[SEEDS[0]]
     again = Scheduler(workcell, plan, feed).find()
     for a, b in zip(schedule.assignments, again.assignments, strict=True):
-        assert (a.arm, a.grasp, a.holds) == (b.arm, b.grasp, b.holds)
-        assert (a.q_pick.tobytes(), a.q_goal.tobytes()) == (b.q_pick.tobytes(), b.q_goal.tobytes())
+        assert (a.arm, a.insert.grasp, a.holds) == (b.arm, b.insert.grasp, b.holds)
+        assert (a.pick.q_pick == b.pick.q_pick).all() and (a.insert.q_goal == b.insert.q_goal).all()
     assert schedule.rejections == again.rejections
 
 
@@ -136,9 +144,9 @@ def test_what_is_excluded_is_not_found_again(
     feed, schedule = scheduled[SEEDS[0]]
     first = schedule.assignments[0]
     scheduler = Scheduler(workcell, plan, feed)
-    scheduler.excluded.add((0, first.arm, first.grasp))
+    scheduler.excluded.steps.add((0, first.insert.identity, ()))
     found = scheduler.find().assignments[0]
-    assert (found.arm, found.grasp) != (first.arm, first.grasp)
+    assert found.insert.identity != first.insert.identity
 
 
 @pytest.mark.slow
@@ -186,12 +194,11 @@ def test_a_search_without_success_ends(
     workcell: Workcell, plan: AssemblyPlan, feed: Feed, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """After a certain count of lines, the same each time."""
-    monkeypatch.setattr(placing.Placer, "placing", lambda self, k, state, candidate: None)
-    monkeypatch.setattr(schedule, "MOST_LINES", 150)
+    monkeypatch.setattr(placing.Placer, "check", lambda self, k, state, candidate, picked=None: None)
     counts = []
     for _ in range(2):
-        scheduler = Scheduler(workcell, plan, feed)
+        scheduler = Scheduler(workcell, plan, feed, effort=Effort(150))
         with pytest.raises(NoSolutionError):
             scheduler.find()
-        counts.append((scheduler._effort.lines, dict(scheduler.rejections)))
+        counts.append((scheduler.effort.lines, dict(scheduler.refusals.counts)))
     assert counts[0] == counts[1] and counts[0][0] <= 150

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from soma_bullet.grasp.hand import Hand
-from soma_bullet.task.builder import scene_of
-from soma_bullet.task.motions import FINGER_STEP, collisions, refined, widths_between
-from soma_bullet.task.segments import DT, Program, contexts
+from soma_bullet.task.program.motions import FINGER_STEP, collisions, refined, scene_for, widths_between
+from soma_bullet.task.program.program import Program, moments
+from soma_bullet.task.segment import DT
 from soma_bullet.task.workcell import Workcell
 
 
@@ -33,15 +33,15 @@ def test_timed_motions_are_free_at_every_sample_and_width(workcell: Workcell, pr
     """Replayed at the simulator's rate in the scene as it is: no swept fingers, no spacing between checked
     states."""
     replayed = 0
-    for context, segment, _ in contexts(workcell, program):
-        if segment.kind not in ("transit", "transfer", "home"):
+    for context, segment, _ in moments(workcell, program):
+        if not segment.kind.around:
             continue
-        arm, now = segment.arm, float(context.hands.openings[segment.arm])
-        scene = scene_of(workcell, context, arm)
-        widths = widths_between(now, now if np.isnan(segment.opening) else segment.opening)
+        arm, now = segment.arm, float(context.openings[segment.arm])
+        scene = scene_for(workcell, context, segment)
+        widths = widths_between(now, now if segment.opening is None else segment.opening)
         for k, q in enumerate(segment.path):
             for width in widths if k % 16 == 0 else widths[[k % len(widths)]]:
-                hit = scene.collides(workcell.configuration(context.hands, arm, q, float(width)))
+                hit = scene.collides(workcell.configuration(context, arm, q, float(width)))
                 assert not hit, (segment.kind, segment.piece, k * DT, width)
         replayed += 1
     assert replayed >= 6
@@ -49,16 +49,16 @@ def test_timed_motions_are_free_at_every_sample_and_width(workcell: Workcell, pr
 
 def test_one_check_stands_for_all_widths(workcell: Workcell, program: Program) -> None:
     rng, seen = np.random.default_rng(0), {True: 0, False: 0}
-    for context, segment, _ in contexts(workcell, program):
-        if segment.kind not in ("transit", "home"):
+    for context, segment, _ in moments(workcell, program):
+        if not (segment.kind.around and segment.kind.unladen):
             continue
-        arm, hands = segment.arm, context.hands
-        widths = widths_between(float(hands.openings[arm]), segment.opening)
-        scene = scene_of(workcell, context, arm)
-        collides = collisions(workcell, scene, hands, arm, widths)
+        arm, state = segment.arm, context
+        widths = widths_between(float(state.openings[arm]), segment.opening)
+        scene = scene_for(workcell, context, segment)
+        collides = collisions(workcell, scene, state, arm, widths)
         for q in segment.path[rng.integers(len(segment.path), size=60)] + rng.normal(0, 0.08, (60, 6)):
             some = any(
-                scene.collides(workcell.configuration(hands, arm, q, float(width))) for width in widths
+                scene.collides(workcell.configuration(state, arm, q, float(width))) for width in widths
             )
             assert collides(q) or not some  # it sees what lies between two widths, too
             seen[some] += 1

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from soma_bullet.robot.collision import HAND_MARGIN, MARGIN, Situation
-from soma_bullet.task.beside import Beside, alongside, leaves
-from soma_bullet.task.overlap import overlapped
-from soma_bullet.task.segments import Program, contexts
-from soma_bullet.task.sweeps import CLEARANCE
+from soma_bullet.task.program.overlap.concurrent import Concurrent, alongside, leaves
+from soma_bullet.task.program.overlap.loosen import overlapped
+from soma_bullet.task.program.overlap.sweeps import CLEARANCE
+from soma_bullet.task.program.program import Program, moments
 from soma_bullet.task.workcell import Workcell
 
 MORE = MARGIN - HAND_MARGIN  # [m] that links keep more than hands
@@ -24,7 +24,7 @@ def loosened(workcell: Workcell, program: Program) -> Program:
 
 
 def placings(program: Program) -> list[int]:
-    return [k for k, segment in enumerate(program.segments) if segment.kind == "place"]
+    return [k for k, segment in enumerate(program.segments) if segment.kind.name == "place"]
 
 
 def test_one_at_a_time_nothing_runs_beside_anything(program: Program) -> None:
@@ -46,7 +46,7 @@ def test_planned_paths_leave_the_arms_apart(workcell: Workcell, loosened: Progra
         segment = loosened.segments[k]
         qs = np.array(workcell.robot.home)
         qs[segment.arm] = segment.path[0]
-        assert Beside(workcell, loosened, k, qs, ()).gap(segment.path, CLEARANCE) > 0.0
+        assert Concurrent(workcell, loosened, k, qs, ()).gap(segment.path, CLEARANCE) > 0.0
 
 
 def test_arms_touch_where_the_scene_says_so(workcell: Workcell, program: Program) -> None:
@@ -54,15 +54,15 @@ def test_arms_touch_where_the_scene_says_so(workcell: Workcell, program: Program
     k = placings(program)[0]
     segment, rng = program.segments[k], np.random.default_rng(3)
     arm, path = segment.arm, segment.path[[0, len(segment.path) // 2, -1]]
-    openings = next(islice(contexts(workcell, program), k, None))[0].hands.openings
+    openings = next(islice(moments(workcell, program), k, None))[0].openings
     scene = workcell.collision.scene(Situation({}, frozenset({0, 1})))
     seen, hands = {True: 0, False: 0}, workcell.collision.hand_links
-    near = next(s.path[-1] for s in program.segments if (s.kind, s.arm) == ("insert", 1 - arm))
+    near = next(s.path[-1] for s in program.segments if (s.kind.name, s.arm) == ("insert", 1 - arm))
     for _ in range(80):
         qs = np.array(workcell.robot.home)
         qs[arm] = path[0]
         qs[1 - arm] = near + rng.normal(0.0, 0.5, 6)
-        gap = Beside(workcell, program, k, qs, ()).gap(path, CLEARANCE)
+        gap = Concurrent(workcell, program, k, qs, ()).gap(path, CLEARANCE)
         touching = False
         for q in path:
             both = qs.copy()
@@ -89,9 +89,9 @@ def test_a_hand_that_holds_stays_while_others_move(
         assert holds
         for k in holds:
             segment = plan.segments[leaves(plan, k)]
-            assert (segment.kind, segment.arm) == ("retreat", plan.segments[k].arm)
+            assert (segment.kind.name, segment.arm) == ("retreat", plan.segments[k].arm)
         assert any(
-            plan.segments[i].kind == "insert" for k in holds for i in alongside(plan, k, leaves(plan, k))
+            plan.segments[i].kind.name == "insert" for k in holds for i in alongside(plan, k, leaves(plan, k))
         )
 
 
@@ -101,10 +101,12 @@ def test_where_a_placing_ends_is_kept_clear_of_what_moves_later(workcell: Workce
     k = next(k for k in placings(program) if alongside(program, k, leaves(program, k)))
     segment, qs = program.segments[k], np.array(workcell.robot.home)
     qs[segment.arm] = segment.path[0]
-    beside = Beside(workcell, program, k, qs, ())
+    beside = Concurrent(workcell, program, k, qs, ())
     assert beside.gap(segment.path, CLEARANCE) > 0.0
     transfer = next(
-        i for i in sorted(alongside(program, k, leaves(program, k))) if program.segments[i].kind == "transfer"
+        i
+        for i in sorted(alongside(program, k, leaves(program, k)))
+        if program.segments[i].kind.name == "transfer"
     )
     other = program.segments[transfer]
     in_the_way = workcell.robot.inverse(

@@ -10,11 +10,11 @@ import pytest
 from soma_bullet.planner.assembly_plan import AssemblyPlan, Hold
 from soma_bullet.planner.assist import HoldCertificate, HoldLoad
 from soma_bullet.planner.plan import make_plan
+from soma_bullet.planner.tables import grasp_poses, grasp_table
 from soma_bullet.robot.model import Cell
 from soma_bullet.task.feed import FeedOptions, draw_feed
-from soma_bullet.task.grasps import grasp_poses, grasp_table
-from soma_bullet.task.program import make_program
-from soma_bullet.task.segments import Program, contexts
+from soma_bullet.task.program.make import make_program
+from soma_bullet.task.program.program import Program, moments
 from soma_bullet.task.workcell import Workcell
 from tests.blocks import assembly, box
 
@@ -61,10 +61,10 @@ def test_its_segments(case: tuple[Workcell, AssemblyPlan, Program]) -> None:
     """The hand comes after the insertion has settled, and leaves after the next one."""
     workcell, _, program = case
     take = program.schedule.assignments[AFTER].takes[0]
-    mine = [(s.step, s.kind) for s in program.segments if s.piece == take.piece and s.step >= AFTER]
+    mine = [(s.step, s.kind.name) for s in program.segments if s.piece == take.piece and s.step >= AFTER]
     assert mine[:3] == [(AFTER, "transit"), (AFTER, "approach"), (AFTER, "grasp")]
     assert mine[3:5] == [(AFTER + 1, "release"), (AFTER + 1, "retreat")]
-    for before, segment, after in contexts(workcell, program):
-        if segment.kind == "grasp" and segment.piece == take.piece and segment.step == AFTER:
-            assert after.hands.gripped[take.arm] == take.piece and take.arm not in after.carried
+    for before, segment, after in moments(workcell, program):
+        if segment.kind.name == "grasp" and segment.piece == take.piece and segment.step == AFTER:
+            assert after.gripped[take.arm] == take.piece and take.arm not in after.carried
             assert before.placed == after.placed and take.piece in after.placed

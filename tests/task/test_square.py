@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from soma_bullet.assembly.model import Assembly
+from soma_bullet.assembly.resting import steady_poses
 from soma_bullet.frames import make_transform, rotation_about
 from soma_bullet.grasp.clearance import OPENING, sweep_hand
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.records import read_npz, write_npz
 from soma_bullet.robot.model import Cell
-from soma_bullet.task.assignments import Square
-from soma_bullet.task.feed import FeedOptions, draw_feed, steady_poses
-from soma_bullet.task.program import make_program
-from soma_bullet.task.segments import Program, contexts
-from soma_bullet.task.squaring import ACROSS, squeezing_grips
+from soma_bullet.task.actions.square import ACROSS, Square, squeezing_grips
+from soma_bullet.task.feed import FeedOptions, draw_feed
+from soma_bullet.task.program.make import make_program
+from soma_bullet.task.program.program import Program, moments
 from soma_bullet.task.workcell import Workcell
 
 NOISE = FeedOptions(poses="preferred", noise_mm=0.5, noise_deg=0.5)
@@ -38,11 +38,11 @@ def test_every_piece_is_squared_across_its_grasp(noisy: Program, workcell: Workc
     for a in noisy.schedule.assignments:
         (square,) = a.regrasps
         assert isinstance(square, Square) and (square.piece, square.arm) == (a.piece, a.arm)
-        first, second = (workcell.robot.tcp(a.arm, q)[:3, 0] for q in (square.q_grasp, a.q_pick))
+        first, second = (workcell.robot.tcp(a.arm, q)[:3, 0] for q in (square.q_grasp, a.pick.q_pick))
         assert abs(first @ second) < ACROSS and abs(first[2]) < ACROSS
         off = noisy.feed.off(workcell.assembly.pieces[workcell.assembly.index(a.piece)])
         assert off > 1.5e-3
-        for width, opened in ((square.width, square.opened), (a.width, a.opened)):
+        for width, opened in ((square.width, square.opened), (a.pick.width, a.pick.opened)):
             assert opened == pytest.approx(
                 min(width + 2 * (OPENING + off), workcell.cell.arms[a.arm].hand.opening)
             )
@@ -50,13 +50,15 @@ def test_every_piece_is_squared_across_its_grasp(noisy: Program, workcell: Workc
 
 def test_its_segments(noisy: Program, workcell: Workcell) -> None:
     for a in noisy.schedule.assignments:
-        kinds = [s.kind for s in noisy.segments if s.step == a.step and s.piece == a.piece and s.arm == a.arm]
+        kinds = [
+            s.kind.name for s in noisy.segments if s.step == a.step and s.piece == a.piece and s.arm == a.arm
+        ]
         assert kinds[:9] == [
             "transit", "approach", "grasp", "release", "retreat", "transit", "approach", "grasp", "lift",
         ]  # fmt: skip
-    for before, segment, after in contexts(workcell, noisy):
-        if segment.kind == "retreat" and segment.piece not in before.placed:
-            assert segment.arm not in after.carried and segment.arm not in after.hands.gripped
+    for before, segment, after in moments(workcell, noisy):
+        if segment.kind.name == "retreat" and segment.piece not in before.placed:
+            assert segment.arm not in after.carried and segment.arm not in after.gripped
 
 
 def test_it_is_the_same_again_and_is_read_back(

@@ -9,12 +9,12 @@ from itertools import product
 import numpy as np
 import pytest
 
+from soma_bullet.grasp.graph import Grip
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.task.feed import Feed
-from soma_bullet.task.options import carrying_time
-from soma_bullet.task.schedule import Scheduler
-from soma_bullet.task.tracing import Grip
-from soma_bullet.task.turns import CHANGE, FETCHING, Option, Turns
+from soma_bullet.task.posture import carrying_time
+from soma_bullet.task.search.arm_assignment import CHANGE, FETCHING, ArmAssignment, Option
+from soma_bullet.task.search.scheduler import Scheduler
 from soma_bullet.task.workcell import Workcell
 
 Make = Callable[..., Option]
@@ -36,7 +36,7 @@ def make(workcell: Workcell) -> Make:
 
 
 def test_a_fetch_is_hidden_by_the_other_arm_only_where_it_is_clear(workcell: Workcell, make: Make) -> None:
-    turns = Turns(workcell, {})
+    turns = ArmAssignment(workcell, {})
     assert turns.unhidden(None, make(0)) == turns.unhidden(make(0), make(0)) == FETCHING
     assert turns.unhidden(make(0), make(1)) == CHANGE
     assert turns.unhidden(make(0), make(1, far=True)) == CHANGE + FETCHING
@@ -44,11 +44,11 @@ def test_a_fetch_is_hidden_by_the_other_arm_only_where_it_is_clear(workcell: Wor
 
 def test_arms_take_turns_unless_that_costs_more(workcell: Workcell, make: Make) -> None:
     cheap = {k: [make(0), make(1, cost=1.0)] for k in range(3)}
-    turns = Turns(workcell, cheap)
+    turns = ArmAssignment(workcell, cheap)
     assert turns.ranked(0, None)[0].inserter == 0
     assert turns.ranked(1, cheap[0][0])[0].inserter == 1
     dear = {k: [make(0), make(1, cost=10.0)] for k in range(3)}
-    assert Turns(workcell, dear).ranked(1, dear[0][0])[0].inserter == 0
+    assert ArmAssignment(workcell, dear).ranked(1, dear[0][0])[0].inserter == 0
 
 
 def test_the_first_option_begins_the_cheapest_sequence(workcell: Workcell, make: Make) -> None:
@@ -58,9 +58,9 @@ def test_the_first_option_begins_the_cheapest_sequence(workcell: Workcell, make:
             k: [make(arm, rng.uniform(0, 4), far) for arm in (0, 1) for far in (False, True)]
             for k in range(4)
         }
-        turns = Turns(workcell, options)
+        turns = ArmAssignment(workcell, options)
 
-        def total(sequence: tuple[Option, ...], turns: Turns = turns) -> float:
+        def total(sequence: tuple[Option, ...], turns: ArmAssignment = turns) -> float:
             pairs = zip((None, *sequence), sequence, strict=False)
             return sum(turns.unhidden(before, after) + after.cost for before, after in pairs)
 
@@ -71,7 +71,7 @@ def test_the_first_option_begins_the_cheapest_sequence(workcell: Workcell, make:
 
 def test_options_are_reached_and_free(workcell: Workcell, plan: AssemblyPlan, feed: Feed) -> None:
     search = Scheduler(workcell, plan, feed).feed_search
-    found = search.turns.options
+    found = search.arms.options
     assert sorted(found) == list(range(len(plan.steps))) and all(found.values())
     for k, options in found.items():
         step = plan.steps[k]
