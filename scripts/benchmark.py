@@ -189,10 +189,11 @@ def run(arguments: Stages, say: Callable[[str], object]) -> dict[str, Any]:
     import numpy as np
 
     from soma_bullet.assembly.file import load_assembly
-    from soma_bullet.episode import EpisodeOptions, execute
-    from soma_bullet.judge.judge import judge
+    from soma_bullet.episode import execute
+    from soma_bullet.options import EpisodeOptions
+    from soma_bullet.planner.options import PlannerOptions
     from soma_bullet.planner.plan import make_plan
-    from soma_bullet.planner.qualities import PlannerOptions, Qualities
+    from soma_bullet.planner.qualities import Qualities
     from soma_bullet.records import package_versions
     from soma_bullet.robot.cell import load_cell
     from soma_bullet.task.builder import ProgramBuilder
@@ -201,6 +202,7 @@ def run(arguments: Stages, say: Callable[[str], object]) -> dict[str, Any]:
     from soma_bullet.task.schedule import Scheduler
     from soma_bullet.task.segments import MOTIONS
     from soma_bullet.task.workcell import Workcell
+    from soma_bullet.verdict.judge import judge
 
     watch = Stopwatch()
     for seed in range(arguments.seeds):
@@ -375,8 +377,8 @@ def _clocks() -> Iterator[dict[str, float]]:
 def _bench_plan(name: str, mode: str, watch: Stopwatch) -> None:
     """Plans an assembly, loaded afresh."""
     from soma_bullet.assembly.file import load_assembly
+    from soma_bullet.planner.options import PlannerOptions
     from soma_bullet.planner.plan import make_plan
-    from soma_bullet.planner.qualities import PlannerOptions
 
     assembly, hand = load_assembly(name), _hand()  # to load it is to look at its contacts
     with watch.measure(f"{name}, all 5,040 orders, {mode}" if name == "cube" else f"{name}, {mode}"):
@@ -391,7 +393,8 @@ def _bench_parts(watch: Stopwatch) -> None:
 
     from soma_bullet.assembly.file import load_assembly
     from soma_bullet.grasp.clearance import clear_of_scene, sweep_hand
-    from soma_bullet.planner.qualities import PlannerOptions, Qualities
+    from soma_bullet.planner.options import PlannerOptions
+    from soma_bullet.planner.qualities import Qualities
 
     loaded = load_assembly("cube")
     # loading has looked at the contacts already: bodies and assembly without what they remember
@@ -526,9 +529,10 @@ def _queries(name: str, workcell: Any, seed: int, poses: str) -> list[Query]:
     import numpy as np
 
     from soma_bullet.errors import NoSolutionError
-    from soma_bullet.planner.qualities import PlannerOptions
+    from soma_bullet.planner.options import PlannerOptions
     from soma_bullet.planner.store import kept_plan
-    from soma_bullet.task.feed import FeedOptions, draw_feed
+    from soma_bullet.task.feed import draw_feed
+    from soma_bullet.task.feed_options import FeedOptions
     from soma_bullet.task.motions import widths_between
     from soma_bullet.task.program import make_program
     from soma_bullet.task.segments import SPEEDS, contexts
@@ -643,7 +647,8 @@ class _BirrtWorld:
     def __init__(self, workcell: Any, resolution: float):
         import numpy as np
 
-        from soma_bullet.bullet.stage import Physics, Stage
+        from soma_bullet.bullet.stage import Stage
+        from soma_bullet.world.options import Physics
 
         self.workcell, self.resolution = workcell, resolution
         names = workcell.assembly.names
@@ -832,11 +837,13 @@ def simulate(arguments: Simulate) -> None:
     """Prints how fast one program runs in physics."""
     from soma_bullet.assembly.file import load_assembly
     from soma_bullet.bullet.simulator import BulletSimulator
-    from soma_bullet.episode import EpisodeOptions, execute
-    from soma_bullet.planner.qualities import PlannerOptions
+    from soma_bullet.episode import execute
+    from soma_bullet.options import EpisodeOptions
+    from soma_bullet.planner.options import PlannerOptions
     from soma_bullet.planner.store import kept_plan
     from soma_bullet.robot.cell import load_cell
-    from soma_bullet.task.feed import FeedOptions, draw_feed
+    from soma_bullet.task.feed import draw_feed
+    from soma_bullet.task.feed_options import FeedOptions
     from soma_bullet.task.overlap import overlapped
     from soma_bullet.task.program import make_program
     from soma_bullet.task.workcell import Workcell
@@ -888,9 +895,10 @@ def episode(arguments: Episode, say: Callable[[str], object]) -> None:
     """Prints the wall time of whole episodes by stage."""
     import numpy as np
 
-    from soma_bullet.episode import EpisodeOptions, run_episode
+    from soma_bullet.episode import run_episode
     from soma_bullet.errors import InputError, NoSolutionError
-    from soma_bullet.task.feed import FeedOptions
+    from soma_bullet.options import EpisodeOptions
+    from soma_bullet.task.feed_options import FeedOptions
 
     if arguments.seeds < 1:
         raise InputError("arguments", f"--seeds {arguments.seeds}: must be at least 1")

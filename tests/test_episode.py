@@ -13,9 +13,10 @@ import pytest
 
 from soma_bullet import episode
 from soma_bullet.assembly.file import load_assembly
-from soma_bullet.episode import EpisodeOptions, run_episode
+from soma_bullet.episode import run_episode
 from soma_bullet.errors import NoSolutionError
-from soma_bullet.pictures.film import FilmOptions
+from soma_bullet.options import EpisodeOptions
+from soma_bullet.pictures.options import FilmOptions
 from soma_bullet.records import VERSIONED, read_npz, to_tree
 from soma_bullet.report.report import EpisodeReport
 from soma_bullet.robot.cell import load_cell
@@ -160,7 +161,7 @@ def test_a_log_is_judged_again_to_the_same_numbers(
 ) -> None:
     import soma_bullet.episode as episode
 
-    for name in ("kept_plan", "make_program", "BulletSimulator", "Workcell"):
+    for name in ("kept_plan", "make_program", "executed", "Workcell"):
         monkeypatch.setattr(episode, name, lambda *_, **__: pytest.fail("it planned or simulated"))
     again = run_episode("soma3", EpisodeOptions(seed=0), tmp_path, built.folder / "log.npz")
     assert again is not None
@@ -174,7 +175,7 @@ def test_a_log_is_judged_again_to_the_same_numbers(
 
 
 def test_a_log_is_judged_by_another_tolerance(built: Run) -> None:
-    from soma_bullet.judge.judge import Tolerance
+    from soma_bullet.verdict.options import Tolerance
 
     again = run_episode(
         "soma3", EpisodeOptions(tolerance=Tolerance(1e-6, 1e-6)), None, built.folder / "log.npz"
@@ -225,5 +226,5 @@ def test_better_orders_are_searched_again_before_far_worse_ones(
         return plans[len(excluded)]
 
     monkeypatch.setattr(episode, "kept_plan", next_best)
-    tried = [(int(plan.order[0]), effort) for plan, effort in episode._candidates(None, None, plans[0])]  # type: ignore[arg-type]
+    tried = [(int(plan.order[0]), effort) for plan, effort in episode._candidates(None, None, plans[0], 12)]  # type: ignore[arg-type]
     assert tried == expected

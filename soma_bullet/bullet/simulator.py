@@ -10,9 +10,10 @@ from scipy.spatial.transform import Rotation
 
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.bullet.quiet import pybullet as p
-from soma_bullet.bullet.stage import Part, Physics, Stage
+from soma_bullet.bullet.stage import Part, Stage, time_step
 from soma_bullet.frames import Array, apply, inverse, make_transform
 from soma_bullet.robot.model import Cell
+from soma_bullet.world.options import Physics
 
 Vector = tuple[float, float, float]
 
@@ -46,7 +47,7 @@ class BulletSimulator(Stage):
         physics: Physics,
     ):
         super().__init__(cell, assembly, stand, poses, home, physics)
-        self.steps, self._looks_every = 0, round(LOOKS_EVERY / physics.dt)
+        self.steps, self._looks_every = 0, round(LOOKS_EVERY / time_step(physics))
         self.last_looked: Array | None = None
         self._efforts = [arm.effort.tolist() for arm in cell.arms]
         self._squeezing = [0.0] * len(cell.arms)  # [N]
@@ -85,9 +86,8 @@ class BulletSimulator(Stage):
         reached: a hand that has closed is told the speed with which SETTLED iterations do. No more: a pad
         with few contacts may turn the piece at that speed for one step, until the others are found."""
         for joint, mass in zip(self.finger_joints[arm], self.finger_masses[arm], strict=True):
-            firm = (
-                force * self.physics.dt / mass / (self.physics.iterations if self._forming[arm] else SETTLED)
-            )
+            passes = self.physics.iterations if self._forming[arm] else SETTLED
+            firm = force * time_step(self.physics) / mass / passes
             speed = (
                 firm
                 if self._forming[arm]
@@ -233,7 +233,7 @@ class BulletSimulator(Stage):
     @property
     def time(self) -> float:
         """[s] since the start."""
-        return self.steps * self.physics.dt
+        return self.steps * time_step(self.physics)
 
     def measured_joints(self) -> Array:
         """Joints (arms, 6) [rad]."""

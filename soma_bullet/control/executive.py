@@ -15,6 +15,7 @@ import numpy as np
 
 from soma_bullet.control.correction import Correction, correct, displacement
 from soma_bullet.control.execute import Executor, Observation
+from soma_bullet.control.options import ExecutionOptions
 from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import Array, apply, inverse, readonly, rotation_angle
 from soma_bullet.grasp.clearance import OPENING
@@ -24,7 +25,8 @@ from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.task.assignments import Carried, Start
 from soma_bullet.task.beside import Beside
 from soma_bullet.task.builder import NO_PATH, NONE
-from soma_bullet.task.feed import FeedOptions, misplace
+from soma_bullet.task.feed import misplace
+from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.motions import joined
 from soma_bullet.task.overlap import overlapped
 from soma_bullet.task.program import recover_program, replan
@@ -41,23 +43,6 @@ LOOKS = 16  # at a piece in the hand before it is placed, if perception errs: ea
 DOUBT = 2.0  # standard errors of their mean by which a piece may seem displaced before that counts
 Progress = Callable[[str, float], None]
 Detour = Generator[Segment, Observation, Observation]
-
-
-@dataclass(frozen=True)
-class ExecutionOptions:
-    """How a program is executed.
-
-    Attributes:
-        together: the arms move at the same time where it is safe; else one at a time.
-        compliant: the wrist's force guides insertions; else they stop at the first touch.
-        recover: what does not go as planned is tried again where that is possible; else it ends the episode.
-        longest: simulated time [s] after which an episode is ended.
-    """
-
-    together: bool = True
-    compliant: bool = True
-    recover: bool = True
-    longest: float = 900.0
 
 
 class _TooLong(Exception):

@@ -12,7 +12,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from soma_bullet.bullet.simulator import BulletSimulator
-from soma_bullet.control.guide import Compliance, Guide
+from soma_bullet.control.guide import Guide
+from soma_bullet.control.options import Compliance
 from soma_bullet.frames import Array, rotation_angle
 from soma_bullet.task.segments import DT, Segment
 

@@ -11,9 +11,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from soma_bullet.control.correction import GONE_MM, SHARES, Correction
-from soma_bullet.control.executive import DOUBT, LOOKS, ExecutionOptions, Executive
+from soma_bullet.control.executive import DOUBT, LOOKS, Executive
+from soma_bullet.control.options import ExecutionOptions
 from soma_bullet.frames import Array, inverse
-from soma_bullet.task.feed import FeedOptions
+from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.segments import Segment
 from tests.soma3 import planned
 

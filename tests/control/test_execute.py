@@ -12,9 +12,8 @@ import pytest
 
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.bullet.simulator import BulletSimulator
-from soma_bullet.bullet.stage import Physics
 from soma_bullet.control.execute import FINAL_SETTLE, Executor
-from soma_bullet.control.guide import Compliance
+from soma_bullet.control.options import Compliance
 from soma_bullet.control.travel import RESTING
 from soma_bullet.frames import Array, make_transform, readonly
 from soma_bullet.motion.line import sample_line
@@ -23,6 +22,7 @@ from soma_bullet.robot.cell import load_cell
 from soma_bullet.robot.kinematics import Robot
 from soma_bullet.robot.model import Cell
 from soma_bullet.task.segments import BEYOND, CLOSING, DT, FOLLOWING, GUARD, Kind, Segment
+from soma_bullet.world.options import Physics
 from tests.blocks import SIDE, assembly, box
 
 STAND = (0.03, 0.03)

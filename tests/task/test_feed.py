@@ -19,13 +19,13 @@ from soma_bullet.task.feed import (
     STEADY_MARGIN,
     STEADY_TILT,
     Feed,
-    FeedOptions,
     draw_feed,
     misplace,
     preferred_resting_pose,
     serving_grasps,
     steady_poses,
 )
+from soma_bullet.task.feed_options import FeedOptions
 
 SEEDS = range(50)
 ALL = FeedOptions(poses="all")

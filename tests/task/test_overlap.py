@@ -12,7 +12,8 @@ from soma_bullet.records import to_tree
 from soma_bullet.robot.collision import Situation
 from soma_bullet.robot.silhouette import distance
 from soma_bullet.task.builder import scene_of
-from soma_bullet.task.feed import FeedOptions, draw_feed
+from soma_bullet.task.feed import draw_feed
+from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.overlap import overlapped
 from soma_bullet.task.program import make_program
 from soma_bullet.task.segments import AROUND, DT, SPEEDS, Context, Program, Segment, contexts

@@ -15,7 +15,8 @@ from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.records import read_npz, write_npz
 from soma_bullet.robot.model import Cell
 from soma_bullet.task.assignments import Carried, PutDown, Square, Start
-from soma_bullet.task.feed import Feed, FeedOptions, draw_feed
+from soma_bullet.task.feed import Feed, draw_feed
+from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.overlap import overlapped
 from soma_bullet.task.program import make_program, recover_program
 from soma_bullet.task.schedule import Scheduler

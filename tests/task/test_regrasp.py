@@ -25,7 +25,8 @@ from soma_bullet.robot.collision import Situation
 from soma_bullet.robot.model import Cell
 from soma_bullet.task.assignments import HandOver, PutDown
 from soma_bullet.task.builder import scene_of
-from soma_bullet.task.feed import FeedOptions, draw_feed, steady_poses
+from soma_bullet.task.feed import draw_feed, steady_poses
+from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.grasps import grasp_poses, grasp_table
 from soma_bullet.task.program import make_program
 from soma_bullet.task.regrasp import GraspGraph, grasp_graph

@@ -15,7 +15,8 @@ from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.equilibrium import classify
 from soma_bullet.task import placing, schedule, search
 from soma_bullet.task.assignments import HandOver, PutDown, Schedule
-from soma_bullet.task.feed import Feed, FeedOptions, draw_feed
+from soma_bullet.task.feed import Feed, draw_feed
+from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.grasps import grasp_poses
 from soma_bullet.task.holding import SMALLEST_MARGIN
 from soma_bullet.task.schedule import Scheduler

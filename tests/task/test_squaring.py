@@ -14,7 +14,8 @@ from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.records import read_npz, write_npz
 from soma_bullet.robot.model import Cell
 from soma_bullet.task.assignments import Square
-from soma_bullet.task.feed import FeedOptions, draw_feed, steady_poses
+from soma_bullet.task.feed import draw_feed, steady_poses
+from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.program import make_program
 from soma_bullet.task.segments import Program, contexts
 from soma_bullet.task.squaring import ACROSS, squeezing_grips
