@@ -106,8 +106,9 @@ class Flag:
         if isinstance(value, bool):
             return self.name if value else self.negative
         values = value if isinstance(value, tuple) else (value,)
-        if values and all(isinstance(word, str) for word in values):
-            values = (",".join(values),)
+        if isinstance(value, tuple) and all(isinstance(word, str) for word in value):
+            known = any(isinstance(rule, Words) for rule in get_args(self.kind))
+            return f"{self.name} {','.join(value)}" if known else " ".join(f"{self.name} {w}" for w in value)
         return " ".join([self.name, *(f"{v:g}" if isinstance(v, float) else str(v) for v in values)])
 
 

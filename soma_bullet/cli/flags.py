@@ -6,7 +6,7 @@ import ast
 import dataclasses
 import inspect
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import tyro
@@ -34,9 +34,9 @@ def parse(kind: type[Kind], arguments: Sequence[str] | None, prog: str) -> Kind:
     return tyro.cli(kind, args=arguments, prog=prog, registry=registry(kind))
 
 
-def registry(*kinds: type[Options]) -> ConstructorRegistry:
-    """How tyro reads the options of some commands."""
-    offered = {(flag.owner, flag.path[-1]) for kind in kinds for flag in flags(kind)}
+def registry(command: type[Options]) -> ConstructorRegistry:
+    """How tyro reads the options of a command."""
+    offered = set(_steps(command))
     rules = ConstructorRegistry()
 
     @rules.struct_rule
@@ -46,13 +46,15 @@ def registry(*kinds: type[Options]) -> ConstructorRegistry:
             return None
         hints, docs, specs = get_type_hints(kind, include_extras=True), documentation(kind), []
         for field in dataclasses.fields(kind):  # type: ignore[arg-type]
+            if (kind, field.name) not in offered:
+                continue
             hint, inner = hints[field.name], options_in(hints[field.name])
             default = tyro.MISSING if field.default is dataclasses.MISSING else field.default
+            if isinstance(info.default, kind):
+                default = getattr(info.default, field.name)
             if inner is not None:
                 hint, default = inner, inner() if default is None else default
-            elif (kind, field.name) not in offered:
-                continue
-            marks = _marks(kind, field.name, hint)
+            marks = _marks(kind, field.name, hint, default)
             if default is tyro.MISSING and inner is None:
                 marks.append(tyro.conf.Positional)
             annotated: Any = Annotated[(hint, *marks)] if marks else hint
@@ -62,16 +64,29 @@ def registry(*kinds: type[Options]) -> ConstructorRegistry:
     return rules
 
 
-def _marks(kind: type[Options], field: str, hint: Any) -> list[Any]:
+def _steps(kind: type[Options]) -> Iterator[tuple[type[Options], str]]:
+    """The fields, each with its dataclass, on the ways to all that a flag sets."""
+    for flag in flags(kind):
+        owner: type[Options] | None = kind
+        for name in flag.path:
+            assert owner is not None
+            yield owner, name
+            owner = options_in(get_type_hints(owner)[name])
+
+
+def _marks(kind: type[Options], field: str, hint: Any, default: Any) -> list[Any]:
     """What tyro is told of a field: its name, and how a list of words is given: separated by commas where
-    these are known, and else by repeating the flag."""
+    these are known, and by repeating the flag where that replaces no other words."""
     marks: list[Any] = []
     if field in kind.names:
         marks.append(tyro.conf.arg(name=kind.names[field]))
     bare, rules = (get_args(hint)[0], get_args(hint)[1:]) if get_origin(hint) is Annotated else (hint, ())
     if get_origin(bare) is tuple and get_args(bare) == (str, ...):
         known = next((rule for rule in rules if isinstance(rule, Words)), None)
-        marks.append(tyro.conf.UseAppendAction if known is None else _commas(known))
+        if known is not None:
+            marks.append(_commas(known))
+        elif default == ():
+            marks.append(tyro.conf.UseAppendAction)
     return marks
 
 
