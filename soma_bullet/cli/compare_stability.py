@@ -1,5 +1,6 @@
-"""The command line that compares verdicts on stability: scripts/compare_stability.py. Not installed: the judge
-that it compares with comes with the packages for tests."""
+"""The command line that compares verdicts on stability: scripts/compare_stability.py.
+
+Not installed: the judge that it compares with comes with the packages for tests."""
 
 from __future__ import annotations
 
