@@ -36,9 +36,8 @@ def draw(name: str, path: Path) -> None:
     from soma_bullet.assembly.file import load_assembly
     from soma_bullet.grasp.hand import load_hand
     from soma_bullet.pictures.exploded import draw_exploded
-    from soma_bullet.planner.assist import HoldLoad
+    from soma_bullet.planner.options import HoldLoad, PlannerOptions
     from soma_bullet.planner.plan import make_plan
-    from soma_bullet.planner.qualities import PlannerOptions
 
     assembly = load_assembly(name)
     # the stones of the arch would give way to the usual 2 N of the last insertion

@@ -8,74 +8,30 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
-from soma_bullet.bullet.simulator import BulletSimulator
-from soma_bullet.bullet.stage import Physics
-from soma_bullet.control.execute import Executor
-from soma_bullet.control.executive import ExecutionOptions, Executive
-from soma_bullet.control.guide import Compliance
 from soma_bullet.errors import InputError
-from soma_bullet.judge.judge import Tolerance, judge
-from soma_bullet.planner.assembly_plan import AssemblyPlan
-from soma_bullet.planner.qualities import PlannerOptions
+from soma_bullet.options import EpisodeOptions
+from soma_bullet.pictures.options import FilmOptions
+from soma_bullet.pipeline import Progress, cell_of, executed, quiet
+from soma_bullet.planner.analyzers import check_analyzers
 from soma_bullet.planner.store import kept_plan
-from soma_bullet.records import package_versions, read_json, read_npz, write_json, write_npz
+from soma_bullet.records import package_versions, write_json, write_npz
 from soma_bullet.report.report import EpisodeReport
-from soma_bullet.robot.cell import find_hand, load_cell
+from soma_bullet.resume import LOG, PLAN, PROGRAM, Earlier, load_earlier
 from soma_bullet.robot.model import Cell
-from soma_bullet.task.feed import Feed, FeedOptions, draw_feed, misplace
-from soma_bullet.task.program.orders import SearchOptions, program_of_best_order
+from soma_bullet.task.feed import draw_feed
+from soma_bullet.task.program.orders import program_of_best_order
 from soma_bullet.task.program.overlap.loosen import overlapped
 from soma_bullet.task.program.program import Program
 from soma_bullet.task.workcell import Workcell
+from soma_bullet.verdict.judge import judge
 from soma_bullet.world.log import ExecutionLog
-
-if TYPE_CHECKING:
-    from soma_bullet.pictures.film import FilmOptions
-
-Progress = Callable[[str, float], None]  # what is going on, and the fraction of the stage that is done
-POOR, THOROUGH = (
-    0.2,
-    3.0,
-)
-
-
-@dataclass(frozen=True)
-class EpisodeOptions:
-    """Everything that decides an episode, beside the assembly.
-
-    Attributes:
-        cell: name or path.
-        hand: a hand.toml, or the name of a cell whose hand replaces that of this cell; None for its own.
-        seed: of everything random.
-        planner: how orders are judged; its seed is the episode's.
-        feed: how the pieces are fed.
-        search: how far schedules are searched.
-        execution: how the program is executed.
-        physics: how the world is simulated.
-        tolerance: of the verdict.
-        ablate: `hold` opens the assisting hand where it should hold.
-        film: the video; None for none.
-    """
-
-    cell: str = "ur5e_pair"
-    hand: str | None = None
-    seed: int = 0
-    planner: PlannerOptions = PlannerOptions()
-    feed: FeedOptions = FeedOptions()
-    search: SearchOptions = SearchOptions()
-    execution: ExecutionOptions = ExecutionOptions()
-    physics: Physics = Physics()
-    tolerance: Tolerance = Tolerance()
-    ablate: str = ""
-    film: FilmOptions | None = None
 
 
 @dataclass
@@ -99,7 +55,7 @@ def run_episode(
     out: Path | None = None,
     resume: Path | None = None,
     plan_only: bool = False,
-    progress: Progress = lambda what, fraction: None,
+    progress: Progress = quiet,
 ) -> EpisodeReport | None:
     """Run one episode, or the rest of one.
 
@@ -107,8 +63,8 @@ def run_episode(
         assembly: file or name.
         out: folder for `plan.json`, `program.npz`, `log.npz`, `report.json` and the video; None writes
             nothing.
-        resume: one of those files (but the report) of an earlier run: what comes before it is taken from
-            there.
+        resume: the plan, program or log of an earlier run, under any name: what comes before it is taken from
+            the files beside it.
         plan_only: stop after the plan, and return None.
 
     Raises:
@@ -116,20 +72,22 @@ def run_episode(
         NoSolutionError: no plan, schedule or motion exists; says what blocked.
     """
     options = options or EpisodeOptions()
-    if options.ablate not in ("", "hold"):
-        raise InputError("--ablate", f"{options.ablate!r} is not known; `hold` is")
+    options.check()
+    check_analyzers(options.planner)
     _check_folder(out)
     clock = _Clock()
     with clock.stage("load"):
         progress("loading", 0.0)
-        model, cell = load_assembly(assembly), _load_cell(options)
-        plan, program, log = _resumed(resume, model, cell)
+        model, cell = load_assembly(assembly), cell_of(options)
+        earlier = Earlier() if resume is None else load_earlier(resume, model, cell)
+        plan, program, log = earlier.plan, earlier.program, earlier.log
     if log is None:
         with clock.stage("plan"):
             progress("planning", 0.0)
-            plan = plan or kept_plan(model, cell.arms[0].hand, replace(options.planner, seed=options.seed))
+            planner = replace(options.planner.with_hands(len(cell.arms)), seed=options.seed)
+            plan = plan or kept_plan(model, cell.arms[0].hand, planner)
         if plan_only:
-            _write(out, "plan.json", plan)
+            _write(out, PLAN, plan)
             return None
         with clock.stage("motion"):
             progress("scheduling and planning motions", 0.0)
@@ -145,11 +103,11 @@ def run_episode(
                 )
                 if options.execution.together:
                     program = overlapped(workcell, program)
-        _write(out, "plan.json", plan)
-        _write(out, "program.npz", program)
+        _write(out, PLAN, plan)
+        _write(out, PROGRAM, program)
         with clock.stage("execution"):
-            log = execute(model, workcell, plan, program, options, progress)
-        _write(out, "log.npz", log)
+            log = executed(workcell, plan, program, options, progress)
+        _write(out, LOG, log)
     with clock.stage("judgement"):
         verdict = judge(log, model, cell, options.tolerance)
     video = {"file": "", "renderer": "", "note": "no video was asked for"}
@@ -165,7 +123,7 @@ def run_episode(
         order=log.order,
         stability=plan.options.stability if plan else "",
         seed=log.seed,
-        ablation=options.ablate,
+        ablation=options.ablation,
         tolerance=options.tolerance,
         judgement=verdict,
         feed_rejected={"overlap": program.feed.overlaps} if program else {},
@@ -208,91 +166,6 @@ def _planned(program: Program | None) -> dict[str, float]:
         return {"one at a time": round(program.makespan, 3)}
     times = {"together": program.makespan, "one at a time": program.alone, "as scheduled": program.in_turn}
     return {name: round(seconds, 3) for name, seconds in times.items()}
-
-
-def _load_cell(options: EpisodeOptions) -> Cell:
-    cell = load_cell(options.cell)
-    if options.hand is not None:
-        hand = find_hand(options.hand)
-        cell = replace(cell, arms=tuple(replace(arm, hand=hand) for arm in cell.arms))
-    force = options.physics.grip_force
-    for arm in cell.arms:
-        weakest, strongest = arm.hand.force_range
-        if force is not None and not weakest <= force <= strongest:
-            raise InputError(
-                "--physics.grip-force",
-                f"{force:g} N: {arm.hand.name} grips with {weakest:g} to {strongest:g} N",
-            )
-    return cell
-
-
-def _resumed(
-    resume: Path | None, assembly: Assembly, cell: Cell
-) -> tuple[AssemblyPlan | None, Program | None, ExecutionLog | None]:
-    """What an earlier run left: the file itself, and its neighbours that come before it."""
-    if resume is None:
-        return None, None, None
-    kinds = {"plan.json": 0, "program.npz": 1, "log.npz": 2}
-    if not resume.is_file():
-        raise InputError("--from", f"no file {resume}")
-    if resume.name not in kinds:
-        raise InputError("--from", f"{resume.name} is none of {', '.join(kinds)}")
-    level = kinds[resume.name]
-    plan_file, program_file = (resume.parent / name for name in ("plan.json", "program.npz"))
-    log = read_npz(ExecutionLog, resume) if level == 2 else None
-    program = (
-        read_npz(Program, program_file) if level == 1 or (level == 2 and program_file.is_file()) else None
-    )
-    if level == 1 and not plan_file.is_file():
-        raise InputError(str(resume), f"its plan is missing: no file {plan_file}")
-    plan = read_json(AssemblyPlan, plan_file) if plan_file.is_file() else None
-    for found in (plan, program, log):
-        if found is not None and found.digest != assembly.digest:
-            raise InputError(
-                str(resume),
-                f"was made for another assembly: digest {found.digest[:12]}, {assembly.name} has "
-                f"{assembly.digest[:12]}",
-            )
-    for made in (program, log):
-        if made is not None and made.cell != cell.name:
-            raise InputError(str(resume), f"was made for the cell {made.cell!r}, not {cell.name!r}")
-    hand = cell.arms[0].hand.name
-    if plan is not None and plan.hand != hand:
-        raise InputError(str(resume), f"was made for the hand {plan.hand!r}, not {hand!r}")
-    if plan is not None and program is not None and plan.order != program.order:
-        orders = " <- ".join(program.order), " <- ".join(plan.order)
-        raise InputError(
-            str(resume), f"was made for another plan than the one beside it: {orders[0]}, not {orders[1]}"
-        )
-    return plan, program, log
-
-
-def execute(
-    assembly: Assembly,
-    workcell: Workcell,
-    plan: AssemblyPlan,
-    program: Program,
-    options: EpisodeOptions,
-    progress: Progress,
-) -> ExecutionLog:
-    """The program in physics, and what the executive makes of it."""
-    actual: Feed = misplace(assembly, program.feed, options.feed, options.seed)
-    poses = {name: actual.pose(name) for name in actual.names}
-    world = BulletSimulator(
-        workcell.cell, assembly, program.stand, poses, workcell.robot.home, options.physics
-    )
-    try:
-        compliance = Compliance() if options.execution.compliant else None
-        every = options.physics.record_every
-        executor = Executor(world, program, workcell.sizes, compliance, every)
-        executive = Executive(
-            workcell, plan, program, executor, options.feed, options.execution, options.ablate, progress
-        )
-        ended = executive.run()
-        executor.settle()
-        return executor.log(ended)
-    finally:
-        world.close()
 
 
 def _render(

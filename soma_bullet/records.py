@@ -11,7 +11,8 @@ import os
 import re
 import tempfile
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -26,6 +27,8 @@ from soma_bullet.errors import InputError
 
 T = TypeVar("T")
 SCHEMA = 1  # of every file that this package writes
+ALIKE = 0.5  # share of names of fields that a file and what it may hold must have in common
+UNREADABLE = (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile)
 VERSIONED = (
     "soma_bullet",
     "pybullet",
@@ -64,7 +67,8 @@ def register_family(base: Any, members: Mapping[str, Any]) -> None:
         return _plain_hook(kind, "structure")(fields, kind)
 
     def unstructure(value: Any) -> Any:
-        return {"class": type(value).__name__, **_plain_hook(type(value), "unstructure")(value)}
+        kind: Any = type(value)
+        return {"class": kind.__name__, **_plain_hook(kind, "unstructure")(value)}
 
     def belongs(kind: Any) -> bool:
         return isinstance(kind, type) and issubclass(kind, base)
@@ -133,11 +137,14 @@ def _compact(text: str) -> str:
 
 def read_json(kind: type[T], path: Path) -> T:
     """Read a dataclass of `kind`. Raises InputError."""
+    return _structure(kind, _json_tree(path), path)
+
+
+def _json_tree(path: Path) -> Any:
     try:
-        tree = json.loads(Path(path).read_text(encoding="utf-8"))
+        return json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
         raise InputError(str(path), f"cannot be read as JSON: {error}") from None
-    return _structure(kind, tree, path)
 
 
 def write_npz(value: Any, path: Path) -> None:
@@ -171,11 +178,61 @@ def write_npz(value: Any, path: Path) -> None:
 
 def read_npz(kind: type[T], path: Path) -> T:
     """Read a dataclass of `kind` from an npz of `write_npz`. Raises InputError."""
+    return _structure(kind, _npz_tree(path), path)
+
+
+def read_any(kinds: Sequence[type[Any]], path: Path) -> Any:
+    """Read a dataclass of that of several kinds which a file holds, as JSON or npz, whatever its name.
+
+    Raises:
+        InputError: it holds none of them, or is damaged.
+    """
+    kind = kind_in(kinds, path)
+    return read_npz(kind, path) if _is_archive(path) else read_json(kind, path)
+
+
+def kind_in(kinds: Sequence[type[Any]], path: Path) -> type[Any]:
+    """Which of several dataclasses a file holds, by the names of its fields. Raises InputError."""
+    if _is_archive(path):
+        tree = _header(path)
+    else:
+        tree = _json_tree(path)
+    keys = set(tree) - {"schema"} if isinstance(tree, dict) else set()
+
+    def likeness(kind: type[Any]) -> float:
+        names = {field.name for field in fields(kind)}
+        return len(names & keys) / len(names | keys)
+
+    likely = max(kinds, key=likeness)
+    if likeness(likely) < ALIKE:
+        raise InputError(str(path), f"is none of {', '.join(kind.__name__ for kind in kinds)}")
+    return likely
+
+
+def _is_archive(path: Path) -> bool:
+    try:
+        with Path(path).open("rb") as stream:
+            return stream.read(2) == b"PK"
+    except OSError as error:
+        raise InputError(str(path), f"cannot be read: {error.strerror}") from None
+
+
+def _header(path: Path) -> Any:
+    """The JSON of an npz of `write_npz`, without its arrays."""
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            return json.loads(archive["header"].tobytes())
+    except UNREADABLE as error:
+        raise InputError(str(path), f"cannot be read as a file of this package: {error}") from None
+
+
+def _npz_tree(path: Path) -> Any:
+    """The tree of an npz of `write_npz`, its arrays in place."""
     try:
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
         tree = json.loads(arrays.pop("header").tobytes())
-    except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile) as error:
+    except UNREADABLE as error:
         raise InputError(str(path), f"cannot be read as a file of this package: {error}") from None
 
     def walk(node: Any) -> Any:
@@ -187,7 +244,7 @@ def read_npz(kind: type[T], path: Path) -> T:
             )
         return [walk(child) for child in node] if isinstance(node, list) else node
 
-    return _structure(kind, walk(tree), path)
+    return walk(tree)
 
 
 def _structure(kind: type[T], tree: Any, path: Path) -> T:

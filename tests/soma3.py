@@ -7,10 +7,11 @@ from functools import cache
 
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.planner.assembly_plan import AssemblyPlan
-from soma_bullet.planner.qualities import PlannerOptions
+from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.store import kept_plan
 from soma_bullet.robot.cell import load_cell
-from soma_bullet.task.feed import FeedOptions, draw_feed
+from soma_bullet.task.feed import draw_feed
+from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.program.make import make_program
 from soma_bullet.task.program.program import Program
 from soma_bullet.task.workcell import Workcell

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,22 +12,19 @@ import pytest
 from test_evaluation import write_two_blocks
 
 from soma_bullet.assembly.file import load_assembly
+from soma_bullet.benchmark.episodes import episode
+from soma_bullet.benchmark.motion import motion, queries_of
+from soma_bullet.benchmark.motion_table import motion_table
+from soma_bullet.benchmark.options import PREFERRED, Episode, Motion, Simulate
+from soma_bullet.benchmark.physics import simulate
+from soma_bullet.benchmark.query import PARTS, Timed
+from soma_bullet.benchmark.stopwatch import hooked
+from soma_bullet.bullet.birrt import BirrtWorld
+from soma_bullet.cli.benchmark import benchmark
 from soma_bullet.errors import InputError
+from soma_bullet.options import EpisodeOptions
 from soma_bullet.robot.cell import load_cell
 from soma_bullet.task.workcell import Workcell
-
-SCRIPT = Path(__file__).resolve().parents[1] / "scripts" / "benchmark.py"
-
-
-@pytest.fixture(scope="module")
-def benchmark() -> Iterator[Any]:
-    spec = importlib.util.spec_from_file_location("benchmark_script", SCRIPT)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["benchmark_script"] = module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules["benchmark_script"]
 
 
 @pytest.fixture(scope="module")
@@ -37,22 +32,20 @@ def two_blocks(tmp_path_factory: pytest.TempPathFactory) -> str:
     return write_two_blocks(tmp_path_factory.mktemp("two"))
 
 
-def row(
-    benchmark: Any, kind: str, cpu: float, birrt: float, solved: bool = True, birrt_solved: bool | None = True
-) -> Any:
-    parts = dict.fromkeys(benchmark.PARTS, cpu / len(benchmark.PARTS))
-    return benchmark.Timed("q", kind, solved, cpu, 2 * cpu, parts, birrt_solved, birrt, 2 * birrt)
+def row(kind: str, cpu: float, birrt: float, solved: bool = True, birrt_solved: bool | None = True) -> Any:
+    parts = dict.fromkeys(PARTS, cpu / len(PARTS))
+    return Timed("q", kind, solved, cpu, 2 * cpu, parts, birrt_solved, birrt, 2 * birrt)
 
 
-def test_the_table_of_motions(benchmark: Any) -> None:
+def test_the_table_of_motions() -> None:
     rows = [
-        row(benchmark, "transfer", 0.010, 0.200),
-        row(benchmark, "transfer", 0.020, 0.400),
-        row(benchmark, "transit", 0.030, 0.600),
-        row(benchmark, "home", 0.9, 0.0, solved=False, birrt_solved=False),
+        row("transfer", 0.010, 0.200),
+        row("transfer", 0.020, 0.400),
+        row("transit", 0.030, 0.600),
+        row("home", 0.9, 0.0, solved=False, birrt_solved=False),
     ]
     rows[-1].birrt_note = "goal in collision"
-    said = benchmark.motion_table(rows)
+    said = motion_table(rows)
     assert (
         "| transfer | 2 of 2 | 15.0 ms |" in said
         and "| home | 0 of 1 |" in said
@@ -64,19 +57,19 @@ def test_the_table_of_motions(benchmark: Any) -> None:
     assert "not begun in 1 cases" in said
 
 
-def test_the_table_without_birrt(benchmark: Any) -> None:
-    said = benchmark.motion_table([row(benchmark, "transfer", 0.010, 0.0, birrt_solved=None)])
+def test_the_table_without_birrt() -> None:
+    said = motion_table([row("transfer", 0.010, 0.0, birrt_solved=None)])
     assert "birrt" not in said and "| chain, median | < 25 ms | 20.0 ms | 10.0 ms | yes |" in said
 
 
-def test_hooks_measure_and_go_away(benchmark: Any) -> None:
+def test_hooks_measure_and_go_away() -> None:
     class Module:
         @staticmethod
         def work(n: int) -> int:
             return sum(range(n))
 
     original, seconds = Module.work, {"work": 0.0}
-    with benchmark._hooked(Module, {"work": "work"}, seconds):
+    with hooked(Module, {"work": "work"}, seconds):
         assert Module.work(200_000) == sum(range(200_000))
     assert Module.work is original and 0.0 < seconds["work"] < 1.0
 
@@ -84,34 +77,47 @@ def test_hooks_measure_and_go_away(benchmark: Any) -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ({"seeds": 0}, "--seeds 0: must be at least 1"),
-        ({"resolution": 0.0}, "--resolution 0: must be above 0"),
-        ({"assemblies": ("som3",)}, "no such assembly"),
+        (["motion", "--seeds", "0"], "--seeds 0: must be at least 1"),
+        (["motion", "--resolution", "0"], "--resolution 0: must be above 0"),
+        (["motion", "--no-birrt", "--assemblies", "som3"], "no such assembly"),
+        (["cube240", "--plans", "241"], "--plans 241: must be from 0 to 240"),
+        (["planner", "--runs", "0"], "--runs 0: must be at least 1"),
+        (["simulate", "--physics.mass", "0"], "--physics.mass 0: must be above 0"),
+        (["episode", "--seed", "1"], "--seed"),
+        (["--stages", "some"], "stages"),
     ],
 )
-def test_bad_arguments(benchmark: Any, arguments: dict, said: str, tmp_path: Path) -> None:
-    options = benchmark.Motion(**{"birrt": False, "out": tmp_path / "out.json", **arguments})
-    with pytest.raises(InputError, match=said):
-        benchmark.motion(options, lambda text: None)
-    assert benchmark.main(options) == 2
+def test_bad_arguments(
+    arguments: list[str],
+    said: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        monkeypatch.setenv(variable, "1")
+    try:
+        status = benchmark(arguments)
+    except SystemExit as exit_:
+        status = int(exit_.code or 0)
+    assert status == 2 and said in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
-def test_without_pybullet_planning_one_is_told(benchmark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pybullet_planning_one_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(
         InputError, match=r"pip install 'soma_bullet\[benchmark\]' installs it, --no-birrt does without"
     ):
-        benchmark.motion(benchmark.Motion(), lambda text: None)
+        motion(Motion(), lambda text: None)
 
 
 @pytest.mark.slow
-def test_motions_of_a_program(
-    benchmark: Any, two_blocks: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_motions_of_a_program(two_blocks: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("pybullet_planning", reason="an extra: pip install soma_bullet[benchmark]")
-    options = benchmark.Motion((two_blocks,), seeds=1, resolution=0.05, out=tmp_path / "out.json")
-    benchmark.motion(options, lambda text: None)
+    options = Motion((two_blocks,), seeds=1, resolution=0.05, out=tmp_path / "out.json")
+    motion(options, lambda text: None)
     queries = json.loads(options.out.read_text())["queries"]
     assert {query["kind"] for query in queries} >= {"transit", "transfer"}
     for query in queries:
@@ -121,15 +127,15 @@ def test_motions_of_a_program(
 
 
 @pytest.mark.slow
-def test_the_world_of_birrt_is_ours(benchmark: Any, two_blocks: str) -> None:
+def test_the_world_of_birrt_is_ours(two_blocks: str) -> None:
     """What is free in our scene is free in its world; an arm in the table or in the other block collides in
     both."""
     pytest.importorskip("pybullet_planning", reason="an extra: pip install soma_bullet[benchmark]")
     workcell = Workcell(load_assembly(two_blocks), load_cell("ur5e_pair"))
-    queries = benchmark._queries("two", workcell, 0, "preferred")
-    with benchmark._BirrtWorld(workcell, 0.05) as world:
+    queries = queries_of("two", workcell, 0, PREFERRED)
+    with BirrtWorld(workcell, 0.05) as world:
         for query in queries:
-            blocked = world._lay_out(query)
+            blocked = world.lay_out(query.context, query.segment.arm, float(query.widths.max()))
             arm, path = query.segment.arm, query.segment.path
             assert not any(blocked(list(q)) for q in path[:: max(1, len(path) // 20)]), query.name
             down = workcell.robot.inverse(arm, _lowered(workcell.robot.tcp(arm, path[-1])), path[-1])
@@ -144,13 +150,13 @@ def _lowered(pose: Any) -> Any:
 
 
 @pytest.mark.slow
-def test_physics_and_an_episode(benchmark: Any, two_blocks: str, capsys: pytest.CaptureFixture[str]) -> None:
-    benchmark.simulate(benchmark.Simulate(two_blocks))
+def test_physics_and_an_episode(two_blocks: str, capsys: pytest.CaptureFixture[str]) -> None:
+    simulate(Simulate(two_blocks))
     said = capsys.readouterr().out
     assert (
         "| steps, nothing gripped |" in said and "| steps, one hand grips |" in said and "ended: done" in said
     )
-    benchmark.episode(benchmark.Episode(two_blocks, seeds=1, poses="preferred"), lambda text: None)
+    episode(Episode(two_blocks, seeds=1, episode=EpisodeOptions(feed=PREFERRED)), lambda text: None)
     said = capsys.readouterr().out
     assert (
         all(f"| {stage} |" in said for stage in ("motion", "execution", "judgement", "all"))

@@ -19,6 +19,7 @@ import pytest
 import trimesh
 
 from soma_bullet.cli.episode import run_episode
+from soma_bullet.cli.plan import plan
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.records import read_json, write_json
 
@@ -50,7 +51,7 @@ def never_planned(monkeypatch: pytest.MonkeyPatch) -> None:
 
     import soma_bullet.episode as episode
 
-    for name in ("kept_plan", "make_program", "Workcell", "BulletSimulator"):
+    for name in ("kept_plan", "program_of_best_order", "Workcell", "executed"):
         monkeypatch.setattr(episode, name, fail)
 
 
@@ -87,20 +88,29 @@ def refused(arguments: list[str], capsys: Captured) -> str:
         (["--feed.layout", "heap"], "layout"),
         (["--physics.iterations", "0"], "--physics.iterations 0: must be from 1"),
         (["--physics.substeps", "0"], "--physics.substeps 0: must be from 1 to 20"),
-        (["--physics.grip-force", "-20"], "--physics.grip-force -20.0: must be positive"),
+        (["--physics.grip-force", "-20"], "--physics.grip-force -20: must be positive"),
         (["--physics.grip-force", "nan"], "--physics.grip-force nan: must be positive"),
         (["--physics.friction", "0"], "--physics.friction 0: must be above 0"),
         (["--physics.mass", "nan"], "--physics.mass nan: must be above 0"),
         (["--physics.solver", "magic"], "solver"),
-        (["--film.size", "641", "360"], "641 x 360: both must be even"),
+        (["--film.size", "641", "360"], "--film.size 641 360: both must be even, and at least 16"),
         (["--film.size", "640"], "size"),
-        (["--film.camera", "moon"], "'moon': must be one of auto, front"),
+        (["--film.camera", "moon"], "film.camera"),
         (["--film.renderer", "cuda"], "renderer"),
-        (["--film.fps", "0"], "fps = 0: must be positive"),
-        (["--film.speed", "0"], "speed = 0.0: must be positive"),
-        (["--film.speed", "nan"], "speed = nan: must be positive"),
+        (["--film.fps", "0"], "--film.fps 0: must be positive"),
+        (["--film.speed", "0"], "--film.speed 0: must be positive"),
+        (["--film.speed", "nan"], "--film.speed nan: must be positive"),
         (["--ablate", "gravity"], "ablate"),
-        (["--stability", "hope"], "stability"),
+        (["--stability", "hope"], "--stability: 'hope' is not known; there are equilibrium, paper"),
+        (["--analyzer", "json:reach"], "module 'json' has no 'reach'"),
+        (["--hands", "0"], "--hands 0: must be at least 1"),
+        (["--hands", "3"], "--hands: 3: ur5e_pair has 2 arms"),
+        (["--top", "0"], "--top 0: must be at least 1"),
+        (["--push", "nan"], "--push nan: must not be negative"),
+        (["--search.lines", "0"], "--search.lines 0: must be at least 1"),
+        (["--execution.longest", "0"], "--execution.longest 0: must be above 0 and at most 100000"),
+        (["--no-video", "--film.speed", "2"], "--film.speed 2: there is no film with --no-video"),
+        (["--plan-only", "--film.speed", "2"], "--film.speed 2: there is no film with --plan-only"),
         (["--sede", "1"], "sede"),
     ],
 )
@@ -172,11 +182,36 @@ def test_a_hand_file_with_faults(tmp_path: Path, capsys: Captured, never_planned
 def test_a_file_that_cannot_be_resumed_from(
     planned: Path, tmp_path: Path, capsys: Captured, never_planned: None
 ) -> None:
-    shutil.copy(planned / "plan.json", tmp_path / "my_plan.json")
-    assert "my_plan.json is none of plan.json, program.npz, log.npz" in refused(
-        ["soma3", "--from", "my_plan.json"], capsys
-    )
     assert "--from: no file" in refused(["soma3", "--from", str(planned)], capsys)
+    (tmp_path / "other.json").write_text('{"schema": 1, "success": true, "pieces": [], "assembly": "soma3"}')
+    said = refused(["soma3", "--from", "other.json"], capsys)
+    assert "other.json: is none of AssemblyPlan, Program, ExecutionLog" in said
+
+
+def test_a_plan_under_any_name(planned: Path, tmp_path: Path) -> None:
+    for name in ("mine.json", "program.npz"):
+        shutil.copy(planned / "plan.json", tmp_path / name)
+        assert run_episode(["soma3", "--plan-only", "--from", name, "--out", "again"]) == 0
+        assert (tmp_path / "again/plan.json").read_bytes() == (planned / "plan.json").read_bytes()
+
+
+def test_an_episode_goes_on_from_a_plan_of_the_planner(tmp_path: Path) -> None:
+    assert plan(["soma3", "--stability", "paper", "--out", "mine.json"]) == 0
+    assert run_episode(["soma3", "--plan-only", "--from", "mine.json", "--out", "again"]) == 0
+    assert (tmp_path / "again/plan.json").read_bytes() == (tmp_path / "mine.json").read_bytes()
+
+
+def test_options_that_come_too_late(planned: Path, capsys: Captured, never_planned: None) -> None:
+    late = ["--stability", "paper", "--push", "1"]
+    said = refused(["soma3", "--from", str(planned / "plan.json"), *late], capsys)
+    assert "2 faults" in said and "--stability paper: comes too late for the plan" in said
+
+
+def test_a_plan_for_more_hands(planned: Path, tmp_path: Path, capsys: Captured, never_planned: None) -> None:
+    plan = read_json(AssemblyPlan, planned / "plan.json")
+    write_json(replace(plan, options=replace(plan.options, hands=3)), tmp_path / "plan.json")
+    said = refused(["soma3", "--from", "plan.json"], capsys)
+    assert "was made for 3 hands; ur5e_pair has 2 arms" in said
 
 
 def test_a_plan_of_another_assembly(planned: Path, capsys: Captured, never_planned: None) -> None:
@@ -209,14 +244,19 @@ def test_a_plan_for_another_hand(
 def test_a_program_beside_another_plan(
     planned: Path, tmp_path: Path, capsys: Captured, never_planned: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import soma_bullet.episode as episode
+    import soma_bullet.resume as resume
 
     (tmp_path / "run").mkdir()
     shutil.copy(planned / "plan.json", tmp_path / "run")
     (tmp_path / "run/program.npz").write_bytes(b"")
     plan = read_json(AssemblyPlan, planned / "plan.json")
-    made = SimpleNamespace(digest=plan.digest, cell="ur5e_pair", order=("BigL", "Z", "smallL"))
-    monkeypatch.setattr(episode, "read_npz", lambda kind, path: made)
+
+    class Made(SimpleNamespace):
+        """As much of a program as is looked at."""
+
+    made = Made(digest=plan.digest, cell="ur5e_pair", order=("BigL", "Z", "smallL"))
+    monkeypatch.setattr(resume, "Program", Made)
+    monkeypatch.setattr(resume, "read_any", lambda kinds, path: made)
     said = refused(["soma3", "--from", "run/program.npz"], capsys)
     assert (
         "was made for another plan than the one beside it: BigL <- Z <- smallL, not Z <- BigL <- smallL"
@@ -237,7 +277,7 @@ def test_a_program_beside_another_plan(
     [
         (lambda text: "", "cannot be read as JSON"),
         (lambda text: text[: len(text) // 2], "cannot be read as JSON"),
-        (lambda text: "[]", "is not a schema-1 file"),
+        (lambda text: "[]", "is none of AssemblyPlan, Program, ExecutionLog"),
         (lambda text: text.replace('"schema": 1', '"schema": 9'), "is not a schema-1 file"),
         (lambda text: text.replace('"order": [', '"ordre": [', 1), "is not a AssemblyPlan"),
         (lambda text: text.replace('"way": ', '"way": "far", "was": ', 1), "is not a AssemblyPlan"),
@@ -264,17 +304,7 @@ def test_a_spoilt_archive(
     (tmp_path / "run").mkdir()
     shutil.copy(planned / "plan.json", tmp_path / "run")
     (tmp_path / "run" / name).write_bytes(content)
-    assert "cannot be read as a file of this package" in refused(["soma3", "--from", f"run/{name}"], capsys)
-
-
-def test_a_plan_under_the_name_of_a_program(
-    planned: Path, tmp_path: Path, capsys: Captured, never_planned: None
-) -> None:
-    (tmp_path / "run").mkdir()
-    shutil.copy(planned / "plan.json", tmp_path / "run/program.npz")
-    assert "cannot be read as a file of this package" in refused(
-        ["soma3", "--from", "run/program.npz"], capsys
-    )
+    assert f"run/{name}: cannot be read as " in refused(["soma3", "--from", f"run/{name}"], capsys)
 
 
 def test_an_output_folder_that_is_a_file(tmp_path: Path, capsys: Captured, never_planned: None) -> None:

@@ -8,7 +8,8 @@ import pytest
 
 from soma_bullet.assembly.packings import soma_cube
 from soma_bullet.grasp.hand import Hand
-from soma_bullet.planner.qualities import PlannerOptions, Qualities
+from soma_bullet.planner.options import PlannerOptions
+from soma_bullet.planner.qualities import Qualities
 from soma_bullet.robot.cell import find_hand
 from soma_bullet.validation.cubes import CubeTurns, cube_table, stable_order, survey_cubes
 

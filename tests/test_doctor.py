@@ -11,17 +11,12 @@ from typing import Any
 
 import pytest
 
-from soma_bullet.cli import doctor as module
-from soma_bullet.cli.doctor import (
-    Finding,
-    check_folders,
-    check_packages,
-    check_python,
-    doctor,
-    examine,
-    serves,
-    table,
-)
+from soma_bullet.cli import doctor as command
+from soma_bullet.cli.doctor import doctor, examine
+from soma_bullet.doctor import installation, machine, pictures
+from soma_bullet.doctor.finding import WIDTH, Finding, table
+from soma_bullet.doctor.installation import check_packages, check_python, serves
+from soma_bullet.doctor.machine import check_folders
 
 ROOT = Path(__file__).resolve().parents[1]
 SLOWEST = 60.0  # [s]; 15 are meant, and a busy machine is not to fail it
@@ -48,7 +43,7 @@ def test_all_is_well_here(tmp_path: Path) -> None:
         assert f"\n{name} " in "\n" + said, name
     assert "FAILED" not in said and "everything that is needed works" in said and done.stderr == ""
     assert list(tmp_path.iterdir()) == []
-    assert max(map(len, said.splitlines())) <= module.WIDTH
+    assert max(map(len, said.splitlines())) <= WIDTH
 
 
 @pytest.mark.parametrize(
@@ -81,23 +76,23 @@ def test_a_package_that_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
             raise metadata.PackageNotFoundError(name)
         return real(name)
 
-    monkeypatch.setattr(module.metadata, "version", version)
+    monkeypatch.setattr(installation.metadata, "version", version)
     found = findings(check_packages)
     assert found["coal"].state == "bad" and found["coal"].advice.startswith("pip install 'coal")
     assert found["numpy"].state == "good" and "pytest" not in found
 
 
 def test_a_package_that_is_too_old_or_does_not_load(monkeypatch: pytest.MonkeyPatch) -> None:
-    real = module.importlib.import_module
+    real = installation.importlib.import_module
 
     def load(name: str) -> Any:
         if name == "toppra":
             raise ImportError("libgomp.so.1: no such file")
         return real(name)
 
-    monkeypatch.setattr(module.importlib, "import_module", load)
+    monkeypatch.setattr(installation.importlib, "import_module", load)
     monkeypatch.setattr(
-        module.metadata, "version", lambda name: "1.0" if name == "ompl" else metadata_version(name)
+        installation.metadata, "version", lambda name: "1.0" if name == "ompl" else metadata_version(name)
     )
     found = findings(check_packages)
     assert "1.0 does not serve" in found["ompl"].says and found["ompl"].state == "bad"
@@ -108,20 +103,20 @@ metadata_version = metadata.version
 
 
 def test_the_package_itself_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "PACKAGE", "no-such-package")
+    monkeypatch.setattr(installation, "PACKAGE", "no-such-package")
     (finding,) = check_packages()
     assert finding.state == "bad" and "pip install --editable ." in finding.advice
 
 
 def test_another_python(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "PYTHON", (3, 9))
+    monkeypatch.setattr(installation, "PYTHON", (3, 9))
     (finding,) = check_python()
     assert finding.state == "bad" and "CPython 3.11" in finding.advice
 
 
 def test_a_folder_that_cannot_be_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", "/proc")
-    monkeypatch.setattr(module.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr(machine.tempfile, "gettempdir", lambda: str(tmp_path))
     found = findings(check_folders)
     assert (
         found["folder of kept plans"].state == "warning"
@@ -149,8 +144,8 @@ def test_a_folder_that_cannot_be_written(monkeypatch: pytest.MonkeyPatch, tmp_pa
     ],
 )
 def test_who_draws(done: Any, state: str, said: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module.subprocess, "run", lambda *_, **__: done)
-    finding = module._renderer()
+    monkeypatch.setattr(pictures.subprocess, "run", lambda *_, **__: done)
+    finding = pictures._renderer()
     assert finding.state == state and said in finding.says
     assert ("libegl1" in finding.advice) is (state != "good")
 
@@ -161,7 +156,7 @@ def test_a_check_that_falls_over_is_a_finding(monkeypatch: pytest.MonkeyPatch) -
         raise RuntimeError("what now\nand more")
 
     monkeypatch.setattr(
-        module, "CHECKS", {"odd": check, "last": lambda: iter([Finding("last", "good", "fine")])}
+        command, "CHECKS", {"odd": check, "last": lambda: iter([Finding("last", "good", "fine")])}
     )
     assert [(f.what, f.state) for f in examine()] == [("first", "good"), ("odd", "bad"), ("last", "good")]
 
@@ -171,7 +166,7 @@ def test_the_exit_status(
     state: Any, status: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(
-        module, "CHECKS", {"it": lambda: iter([Finding("it", state, "says", "do this" * (state != "good"))])}
+        command, "CHECKS", {"it": lambda: iter([Finding("it", state, "says", "do this" * (state != "good"))])}
     )
     assert doctor([]) == status
     said = capsys.readouterr().out
@@ -183,4 +178,4 @@ def test_long_lines_are_wrapped() -> None:
     lines = table(
         [Finding("it", "bad", "word " * 60, "advice " * 60), Finding("a longer name", "good", "")]
     ).splitlines()
-    assert max(map(len, lines)) <= module.WIDTH and sum("->" in line for line in lines) == 1
+    assert max(map(len, lines)) <= WIDTH and sum("->" in line for line in lines) == 1

@@ -7,18 +7,21 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from soma_bullet import episode
 from soma_bullet.assembly.file import load_assembly
-from soma_bullet.episode import EpisodeOptions, run_episode
+from soma_bullet.episode import run_episode
 from soma_bullet.errors import NoSolutionError
-from soma_bullet.pictures.film import FilmOptions
+from soma_bullet.options import EpisodeOptions
+from soma_bullet.pictures.options import FilmOptions
 from soma_bullet.records import VERSIONED, read_npz, to_tree
 from soma_bullet.report.report import EpisodeReport
 from soma_bullet.robot.cell import load_cell
+from soma_bullet.task.program import orders
 from soma_bullet.task.program.program import Program
 from soma_bullet.world.log import ExecutionLog
 
@@ -158,9 +161,8 @@ def test_the_last_two_seconds_are_rest(built: Run) -> None:
 def test_a_log_is_judged_again_to_the_same_numbers(
     built: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import soma_bullet.episode as episode
 
-    for name in ("kept_plan", "make_program", "BulletSimulator", "Workcell"):
+    for name in ("kept_plan", "program_of_best_order", "executed", "Workcell"):
         monkeypatch.setattr(episode, name, lambda *_, **__: pytest.fail("it planned or simulated"))
     again = run_episode("soma3", EpisodeOptions(seed=0), tmp_path, built.folder / "log.npz")
     assert again is not None
@@ -174,7 +176,7 @@ def test_a_log_is_judged_again_to_the_same_numbers(
 
 
 def test_a_log_is_judged_by_another_tolerance(built: Run) -> None:
-    from soma_bullet.judge.judge import Tolerance
+    from soma_bullet.verdict.options import Tolerance
 
     again = run_episode(
         "soma3", EpisodeOptions(tolerance=Tolerance(1e-6, 1e-6)), None, built.folder / "log.npz"
@@ -207,12 +209,12 @@ def test_until_the_hold_the_ablation_is_the_same_episode(built: Run, ablated: Ru
 @pytest.mark.parametrize(
     ("scores", "expected"),
     [
-        ((1.0, 0.5, 1e-3, 1e-4), [(0, 1.0), (1, 1.0), (0, 3.0), (1, 3.0), (2, 1.0), (3, 1.0)]),
-        ((1.0, 0.5), [(0, 1.0), (1, 1.0), (0, 3.0), (1, 3.0)]),
+        ((1.0, 0.5, 1e-3, 1e-4), [(0, 1), (1, 1), (0, 3), (1, 3), (2, 1), (3, 1)]),
+        ((1.0, 0.5), [(0, 1), (1, 1), (0, 3), (1, 3)]),
     ],
 )
 def test_better_orders_are_searched_again_before_far_worse_ones(
-    scores: tuple[float, ...], expected: list[tuple[int, float]], monkeypatch: pytest.MonkeyPatch
+    scores: tuple[float, ...], expected: list[tuple[int, int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     plans = [SimpleNamespace(order=(str(k),), score=score, options=None) for k, score in enumerate(scores)]
 
@@ -224,6 +226,8 @@ def test_better_orders_are_searched_again_before_far_worse_ones(
         assert excluded == {plan.order for plan in plans[: len(excluded)]}
         return plans[len(excluded)]
 
-    monkeypatch.setattr(episode, "kept_plan", next_best)
-    tried = [(int(plan.order[0]), effort) for plan, effort in episode._candidates(None, None, plans[0])]  # type: ignore[arg-type]
+    monkeypatch.setattr(orders, "kept_plan", next_best)
+    workcell: Any = SimpleNamespace(assembly=None, hand=lambda arm: None)
+    found = orders._candidates(workcell, plans[0], 12)  # type: ignore[arg-type]
+    tried = [(int(plan.order[0]), times) for plan, times in found]
     assert tried == expected

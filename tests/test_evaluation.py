@@ -3,9 +3,9 @@ end."""
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -20,8 +20,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from soma_bullet.control.executive import ExecutionOptions
-from soma_bullet.episode import EpisodeOptions
+from soma_bullet.cli.evaluate import evaluate as command
+from soma_bullet.control.options import ExecutionOptions
 from soma_bullet.errors import InputError, NoSolutionError
 from soma_bullet.evaluation import evaluate as evaluating
 from soma_bullet.evaluation import line as running
@@ -42,10 +42,14 @@ from soma_bullet.evaluation.replay import replay
 from soma_bullet.evaluation.statistics import wilson
 from soma_bullet.evaluation.summary import summarise
 from soma_bullet.evaluation.workers import _inherited
-from soma_bullet.judge.judge import Tolerance
+from soma_bullet.options import EpisodeOptions
+from soma_bullet.pictures.options import FilmOptions
+from soma_bullet.planner.options import HoldLoad, PlannerOptions
+from soma_bullet.task.feed_options import FeedOptions
+from soma_bullet.task.search_options import SearchOptions
+from soma_bullet.verdict.options import Tolerance
+from soma_bullet.world.options import Physics
 
-ROOT = Path(__file__).resolve().parents[1]
-SCRIPT = ROOT / "scripts" / "evaluate.py"
 SOMA3 = EvaluationOptions("soma3", 6)
 EVERYTHING = ("friction", "mass", "perception", "feed")
 
@@ -143,10 +147,12 @@ def test_what_varies_reaches_the_episode() -> None:
 
 
 def test_options_reach_the_episode_and_come_back_from_its_line() -> None:
-    options = replace(
-        SOMA3, vary=EVERYTHING, stability="paper", tolerance=Tolerance(1.0, 3.0), ablate="hold",
-        execution=ExecutionOptions(together=False, recover=False),
+    common = EpisodeOptions(
+        planner=PlannerOptions(stability="paper", load=HoldLoad(push=1.0)), tolerance=Tolerance(1.0, 3.0),
+        ablate="hold", execution=ExecutionOptions(together=False, recover=False),
+        physics=Physics(gravity=5.0), search=SearchOptions(orders=3),
     )  # fmt: skip
+    options = replace(SOMA3, vary=EVERYTHING, episode=common)
     episode = episode_options(2, options)
     assert (episode.planner.stability, episode.tolerance, episode.ablate) == (
         "paper",
@@ -158,6 +164,7 @@ def test_options_reach_the_episode_and_come_back_from_its_line() -> None:
         True,
         False,
     )
+    assert (episode.planner.load.push, episode.physics.gravity, episode.search.orders) == (1.0, 5.0, 3)
     line = json.loads(json.dumps(canned(2, options)))
     assert options_of(line, "here") == episode
     assert {"cell", "hand", "seed", "ablate", *EPISODE_PARTS} == set(line["episode"])
@@ -292,6 +299,11 @@ def test_without_ray_one_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert not (tmp_path / "out").exists()
 
 
+def common(**options: Any) -> dict[str, Any]:
+    """What all episodes have in common, as a change of the options of an evaluation."""
+    return {"episode": EpisodeOptions(**options)}
+
+
 # --- going on -----------------------------------------------------------------------------------------------
 
 
@@ -322,10 +334,15 @@ def test_seeds_beyond_those_asked_for_are_kept(tmp_path: Path) -> None:
     ("changed", "said"),
     [
         ({"vary": ("friction", "feed")}, "--vary: feed there, friction,feed here"),
-        ({"tolerance": Tolerance(1.0, 2.0)}, "--tolerance-mm: 2.0 there, 1.0 here"),
-        ({"stability": "paper"}, "--stability: equilibrium there, paper here"),
-        ({"ablate": "hold"}, "--ablate: none there, hold here"),
-        ({"execution": ExecutionOptions(recover=False)}, "--recover: True there, False here"),
+        (common(tolerance=Tolerance(1.0, 2.0)), "--tolerance-mm: 2.0 there, 1.0 here"),
+        (common(planner=PlannerOptions(stability="paper")), "--stability: equilibrium there, paper here"),
+        (common(ablate="hold"), "--ablate: none there, hold here"),
+        (
+            common(execution=ExecutionOptions(recover=False)),
+            "--execution.recover: True there, False here",
+        ),
+        (common(feed=FeedOptions(layout="rows")), "--feed.layout: random there, rows here"),
+        (common(physics=Physics(asleep=0.0)), "--physics.asleep: 1e-06 there, 0.0 here"),
         ({"assembly": "soma4"}, "assembly: soma3 .* there, soma4 .* here"),
     ],
 )
@@ -337,9 +354,24 @@ def test_another_evaluation_in_the_same_folder_is_refused(changed: dict, said: s
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-def test_a_spread_that_does_not_vary_does_not_matter(tmp_path: Path) -> None:
-    leave(replace(SOMA3, episodes=1), tmp_path)
-    evaluate(replace(SOMA3, episodes=1, spread=Spread(mass=0.1)), 1, tmp_path, episode=canned)
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (replace(SOMA3, spread=Spread(mass=0.1)), "--spread.mass: mass does not vary, see --vary"),
+        (replace(SOMA3, vary=("luck",)), "--vary luck: 'luck' is none of friction"),
+        (replace(SOMA3, **common(feed=FeedOptions(noise_mm=1.0))), "must be left alone"),
+        (replace(SOMA3, **common(film=FilmOptions())), "no episode of an evaluation is filmed"),
+        (replace(SOMA3, **common(planner=PlannerOptions(stability="luck"))), "'luck' is not known"),
+        (replace(SOMA3, seed=2**31 - 6, episodes=7), "--episodes 7: the last seed must be from 0"),
+    ],
+)
+def test_options_that_no_evaluation_could_use(options: EvaluationOptions, said: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=re.escape(said)):
+        evaluate(options, 1, tmp_path / "out", episode=canned)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_order_of_what_varies_does_not_matter() -> None:
     assert (
         replace(SOMA3, vary=("feed", "mass")).conditions()
         == replace(SOMA3, vary=("mass", "feed")).conditions()
@@ -375,30 +407,20 @@ def test_two_evaluations_do_not_write_into_one_folder(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_an_interrupted_run_keeps_what_is_done_and_goes_on(tmp_path: Path) -> None:
     """Ctrl-C goes to the whole process group, as a terminal sends it."""
-    command = [
-        sys.executable,
-        str(SCRIPT),
-        "soma3",
-        "--episodes",
-        "6",
-        "--jobs",
-        "2",
-        "--out",
-        str(tmp_path / "out"),
-    ]
+    arguments = ["soma3", "--episodes", "6", "--jobs", "2", "--out", str(tmp_path / "out")]
     patched = f"""
 import sys
-sys.path[:0] = [{str(Path(__file__).parent)!r}, {str(SCRIPT.parent)!r}]
+sys.path[:0] = [{str(Path(__file__).parent)!r}]
 import functools, test_evaluation
 from soma_bullet.evaluation import evaluate as evaluating
 if __name__ == "__main__":
     evaluating.evaluate = functools.partial(evaluating.evaluate, episode=test_evaluation.slow)
-    import evaluate
-    raise SystemExit(evaluate.main(sys.argv[1:]))
+    from soma_bullet.cli.evaluate import evaluate
+    raise SystemExit(evaluate(sys.argv[1:]))
 """
     (tmp_path / "patched.py").write_text(patched)
     process = subprocess.Popen(
-        [sys.executable, str(tmp_path / "patched.py"), *command[2:]],
+        [sys.executable, str(tmp_path / "patched.py"), *arguments],
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
@@ -499,23 +521,12 @@ def test_a_summary_of_crashes_alone() -> None:
 # --- the command --------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def script() -> Any:
-    spec = importlib.util.spec_from_file_location("evaluate_script", SCRIPT)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["evaluate_script"] = module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules["evaluate_script"]
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (["--episodes", "0"], "--episodes 0: must be at least 1"),
         (["--jobs", "0"], "--jobs 0: must be at least 1"),
-        (["--seed", "-1"], "--seed -1: must not be negative"),
+        (["--seed", "-1"], "--seed -1: must be from 0 to 2147483647"),
         (["--vary", "fricton"], "--vary fricton: 'fricton' is none of friction, mass, perception, feed"),
         (["--spread.friction", "1"], "--spread.friction 1: must be at least 0 and below 1"),
         (["--spread.mass", "nan"], "--spread.mass nan"),
@@ -525,13 +536,19 @@ def script() -> Any:
         (["--hand", "no_hand"], "no such hand"),
         (["--replay", "3"], "has no line of seed 3"),
         (["--backend", "cloud"], "backend"),
+        (["--feed.poses", "all"], "feed.poses"),
+        (["--feed.noise-mm", "1"], "feed.noise-mm"),
+        (["--physics.mass", "0"], "--physics.mass 0: must be above 0 and at most 10"),
+        (["--hands", "3"], "--hands: 3: ur5e_pair has 2 arms"),
+        (["--film.fps", "5"], "--film.fps 5: only a replay is filmed"),
+        (["--replay", "3", "--push", "1"], "--push 1: a replay is run as its line says"),
     ],
 )
 def test_bad_arguments(
-    script: Any, arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     try:
-        status = script.main(["soma3", "--out", str(tmp_path / "out"), *arguments])
+        status = command(["soma3", "--out", str(tmp_path / "out"), *arguments])
     except SystemExit as exit:
         status = exit.code
     written = capsys.readouterr()
@@ -540,11 +557,11 @@ def test_bad_arguments(
 
 
 def test_a_whole_command(
-    script: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = lambda *arguments, **options: evaluate(*arguments, **options, episode=canned)  # noqa: E731
     monkeypatch.setattr(evaluating, "evaluate", run)
-    assert script.main(["soma3", "--episodes", "6", "--jobs", "1", "--out", str(tmp_path)]) == 0
+    assert command(["soma3", "--episodes", "6", "--jobs", "1", "--out", str(tmp_path)]) == 0
     written = capsys.readouterr()
     assert (
         "4 of 6 succeeded, 67%" in written.out

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from soma_bullet.assembly.file import load_assembly
-from soma_bullet.episode import EpisodeOptions, run_episode
+from soma_bullet.episode import run_episode
+from soma_bullet.options import EpisodeOptions
 
 
 def test_pieces_that_share_an_edge_may_meet() -> None:

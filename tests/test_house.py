@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import ast
 import configparser
+import importlib
 import os
 import subprocess
 import sys
@@ -26,6 +27,7 @@ SLOWEST_HELP = 5.0  # [s]; half a second is meant, and a busy machine is not to 
 # which have no time
 PLACING = {
     Path("soma_bullet/bullet/stage.py"),
+    Path("soma_bullet/bullet/birrt.py"),  # another planner's world, in which there is no time
     Path("soma_bullet/pictures/studio.py"),
     Path("soma_bullet/pictures/sight.py"),
     Path("soma_bullet/pictures/look.py"),
@@ -202,3 +204,37 @@ def test_a_wheel_holds_all_data_and_works_outside_the_checkout(tmp_path: Path) -
         "soma3",
         "ur5e_pair",
     ], used.stderr
+    for name, module, function in commands():
+        code = f"import sys; sys.argv[0] = {name!r}; from {module} import {function} as f; sys.exit(f())"
+        told = python("-c", code, "--help", folder=tmp_path, path=site)
+        assert told.returncode == 0 and name in told.stdout, told.stderr
+
+
+def commands() -> list[tuple[str, str, str]]:
+    """Name, module and function of every command that is installed."""
+    config = configparser.ConfigParser()
+    config.read(ROOT / "setup.cfg")
+    found = []
+    for line in config["options.entry_points"]["console_scripts"].split("\n"):
+        if line:
+            name, place = line.split(" = ")
+            found.append((name, *place.split(":")))
+    return found  # type: ignore[return-value]
+
+
+def test_every_command_is_there() -> None:
+    names = ("benchmark", "compare", "doctor", "episode", "evaluate", "plan", "render")
+    assert [name for name, _, _ in commands()] == [f"soma-{name}" for name in names]
+    for _, module, function in commands():
+        assert callable(getattr(importlib.import_module(module), function))
+
+
+LONGEST_FILE = 350  # [lines]
+BEING_CUT = {"task", "control", "pictures", "bullet"}  # folders in which files are longer
+
+
+@pytest.mark.parametrize("path", [*MODULES, *SCRIPTS], ids=lambda path: path.name)
+def test_no_file_is_long(path: Path) -> None:
+    if path.is_relative_to(PACKAGE) and path.relative_to(PACKAGE).parts[0] in BEING_CUT:
+        return
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= LONGEST_FILE

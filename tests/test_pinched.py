@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from soma_bullet.episode import EpisodeOptions, run_episode
+from soma_bullet.episode import run_episode
 from soma_bullet.frames import from_quat_xyzw, rotation_angle
+from soma_bullet.options import EpisodeOptions
 from soma_bullet.records import read_npz
 from soma_bullet.world.log import ExecutionLog
 

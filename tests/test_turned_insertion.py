@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from soma_bullet.control.executive import ExecutionOptions
+from soma_bullet.control.options import ExecutionOptions
 from soma_bullet.evaluation.line import run_line
 from soma_bullet.evaluation.options import EvaluationOptions, Spread
-from soma_bullet.judge.judge import Tolerance
+from soma_bullet.verdict.options import Tolerance
 
 SEED = 402  # bar and slot end 2 deg apart, where 1.1 would fit
 LENGTH, WIDTH, DEPTH = 60.0, 14.0, 18.0  # [mm] of the slot

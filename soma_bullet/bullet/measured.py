@@ -11,9 +11,10 @@ from scipy.spatial.transform import Rotation
 
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.bullet.quiet import pybullet as p
-from soma_bullet.bullet.stage import Part, Physics, Stage
+from soma_bullet.bullet.stage import Part, Stage, time_step
 from soma_bullet.frames import Array, make_transform
 from soma_bullet.robot.model import Cell
+from soma_bullet.world.options import Physics
 from soma_bullet.world.simulator import Contact, Names, Sample
 
 Vector = tuple[float, float, float]
@@ -50,7 +51,7 @@ class Measured(Stage):
     @property
     def time(self) -> float:
         """[s] since the start."""
-        return self.steps * self.physics.dt
+        return self.steps * time_step(self.physics)
 
     def measured_joints(self) -> tuple[Array, ...]:
         """Joints (n,) [rad] of each arm."""

@@ -9,10 +9,11 @@ import numpy as np
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.bullet.measured import Measured
 from soma_bullet.bullet.quiet import pybullet as p
-from soma_bullet.bullet.stage import Physics
+from soma_bullet.bullet.stage import time_step
 from soma_bullet.bullet.upkeep import GripUpkeep
 from soma_bullet.frames import Array, apply, inverse
 from soma_bullet.robot.model import Cell
+from soma_bullet.world.options import Physics
 
 CLOSING_SPEED, OPENING_SPEED = 0.05, 0.1  # [m/s]
 SETTLED = 8  # iterations of the solver in which a finger's motor reaches its limit
@@ -44,7 +45,7 @@ class BulletSimulator(Measured):
         physics: Physics,
     ):
         super().__init__(cell, assembly, stand, poses, home, physics)
-        self._looks_every = round(LOOKS_EVERY / physics.dt)
+        self._looks_every = round(LOOKS_EVERY / time_step(physics))
         self.last_looked: Array | None = None
         self._efforts = [arm.effort.tolist() for arm in cell.arms]
         self._squeezing = [0.0] * len(cell.arms)  # [N]
@@ -81,7 +82,10 @@ class BulletSimulator(Measured):
         with few contacts may turn the piece at that speed for one step, until the others are found."""
         for joint, mass in zip(self.finger_joints[arm], self.finger_masses[arm], strict=True):
             firm = (
-                force * self.physics.dt / mass / (self.physics.iterations if self._forming[arm] else SETTLED)
+                force
+                * time_step(self.physics)
+                / mass
+                / (self.physics.iterations if self._forming[arm] else SETTLED)
             )
             speed = (
                 firm

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -23,43 +21,7 @@ from soma_bullet.frames import from_quat_xyzw as transform_of
 from soma_bullet.robot.compose import compose_urdf
 from soma_bullet.robot.model import Cell
 from soma_bullet.task.segment import DT
-
-
-@dataclass(frozen=True)
-class Physics:
-    """How the world is simulated; the defaults are measured to hold pieces without slip.
-
-    Attributes:
-        substeps: time steps for each sample of a trajectory.
-        solver: `pgs` iterates, with a friction cone; `dantzig` solves contacts between pieces exactly, with a
-            friction pyramid that holds up to 1.4 times too much along its diagonals. What the robot touches
-            is iterated in either.
-        iterations: of the solver; 25 hold a piece as firmly as it can be gripped, more let it creep less in
-            motion.
-        gravity: [m/s2].
-        grip_force: [N]; None for the hand's own.
-        friction: factor on every friction coefficient.
-        mass: factor on every piece's mass.
-        asleep: speed [m/s, rad/s] below which a piece is at rest; one that touches only fixtures and pieces
-            at rest is left as it is until anything else comes near. 0 to let none sleep.
-        record_every: samples of a trajectory between samples of the log.
-    """
-
-    substeps: int = 1
-    solver: Literal["pgs", "dantzig"] = "pgs"
-    iterations: int = 60
-    gravity: float = 9.81
-    grip_force: float | None = None
-    friction: float = 1.0
-    mass: float = 1.0
-    asleep: float = 1e-6
-    record_every: int = 5
-
-    @property
-    def dt(self) -> float:
-        """Time step [s]."""
-        return DT / self.substeps
-
+from soma_bullet.world.options import Physics
 
 SOLVERS = {"dantzig": p.CONSTRAINT_SOLVER_LCP_DANTZIG, "pgs": p.CONSTRAINT_SOLVER_LCP_SI}
 Part = tuple[int, int]  # body and link; -1 is the body itself
@@ -78,6 +40,11 @@ POINT_STIFFNESS = 5e6
 # [m] lever at which a body resists turning about a contact's normal, half of what two have that touch: where
 # faces meet the simulator may list a single corner, on which a piece would spin under the least push
 TORSION = 1e-3
+
+
+def time_step(physics: Physics) -> float:
+    """Time step of the simulator [s]."""
+    return DT / physics.substeps
 
 
 class Stage:
@@ -108,7 +75,7 @@ class Stage:
         with tempfile.TemporaryDirectory() as folder, silenced():
             p.setGravity(0, 0, -physics.gravity, physicsClientId=self.client)
             p.setPhysicsEngineParameter(
-                fixedTimeStep=physics.dt,
+                fixedTimeStep=time_step(physics),
                 numSolverIterations=physics.iterations,
                 deterministicOverlappingPairs=1,
                 enableFileCaching=0,

@@ -11,10 +11,11 @@ import numpy as np
 
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.bullet.quiet import pybullet as p
-from soma_bullet.bullet.stage import Physics, Stage
+from soma_bullet.bullet.stage import Stage, time_step
 from soma_bullet.frames import Array, apply, make_transform, readonly, rotation_angle, translate
 from soma_bullet.frames import from_quat_xyzw as transform_of
 from soma_bullet.robot.model import Cell
+from soma_bullet.world.options import Physics
 
 SECONDS = 2.0  # [s] that a set is watched
 FALLEN_MM = 5.0  # [mm] a quarter of a Soma cell; leaning until gaps of 0.2 mm close stays well below
@@ -102,7 +103,7 @@ class _Bench(Stage):
 
     def run(self, seconds: float) -> None:
         """Let time pass [s]."""
-        for _ in range(round(seconds / self.physics.dt)):
+        for _ in range(round(seconds / time_step(self.physics))):
             p.stepSimulation(physicsClientId=self.client)
 
     def piece_poses(self) -> dict[str, Array]:

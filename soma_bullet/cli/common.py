@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import TypeVar
 
 Options = TypeVar("Options")
+WIDTH = 110  # [characters] of what is printed where there is no terminal; the tables need this much
 
 
 def run_command(command: Callable[[Options], int], options: Options) -> int:

@@ -2,86 +2,94 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
-import tyro
+from soma_bullet.cli.common import WIDTH, run_command
+from soma_bullet.cli.flags import parse
+from soma_bullet.option import Options, Range
+from soma_bullet.planner.options import PlannerOptions
 
-from soma_bullet.cli.common import run_command
+PICTURES, JSON = (".png", ".svg", ".pdf"), (".json",)
 
 
 @dataclass(frozen=True)
-class PlanArguments:
+class PlanArguments(Options):
     """Plans an assembly: order, assembly directions, grasps, and what has to be held meanwhile. No robot, no
     simulator.
 
     Exit status: 0 a plan was found; 2 bad input; 3 no plan exists (with what blocked it).
     """
 
-    assembly: tyro.conf.Positional[str]
+    names: ClassVar[Mapping[str, str]] = {"planner": ""}
+
+    assembly: str
     """An assembly file, or the name of one that comes with the package (soma3, soma4, cube, dowel, arch,
     ...)."""
-    stability: str = "equilibrium"
-    """equilibrium: the whole placed set at once; paper: one piece against fixed neighbours; or your own, as
-    module:function."""
     hand: str = "ur5e_pair"
     """A hand.toml, a folder that has one, or the name of a cell whose hand it is."""
-    hands: int = 2
-    """Hands of the robot: one inserts, the others may hold."""
-    top: int = 1
-    """How many of the best orders to work out step by step."""
-    seed: int = 0
-    """Picks among orders of equal score."""
-    analyzer: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """A further analyzer of steps: grounded (no piece is put into the air), or your own as module:function;
-    repeatable."""
-    push: float = 2.0
-    """A hold must resist this force of the next insertion [N] ..."""
-    disturbance: float = 0.1
-    """... and this horizontal acceleration of every placed piece [g]."""
+    planner: PlannerOptions = PlannerOptions()
+    """How orders are judged."""
     explain: bool = False
     """Print why: every step of the order, and the tree of what ruled the others out, most frequent first."""
     figure: Path | None = None
     """Draw the orders, a row each, as in the paper: .png, .svg or .pdf."""
-    rows: int = 6
+    rows: Annotated[int, Range(1)] = 6
     """Orders in the figure."""
     exploded: Path | None = None
     """Draw the pieces moved apart along their assembly directions: .png, .svg or .pdf."""
     out: Path | None = None
-    """Write the whole plan, with the matrices of all orders, as JSON."""
+    """Write the whole plan, with the matrices of all orders, as JSON; an episode can go on from it."""
+
+    def faults(self, prefix: str = "--") -> list[str]:
+        """As of all options; a file has an ending that can be written, and a folder."""
+        faults = super().faults(prefix)
+        files = (
+            ("figure", self.figure, PICTURES),
+            ("exploded", self.exploded, PICTURES),
+            ("out", self.out, JSON),
+        )
+        for name, path, allowed in files:
+            if path is None:
+                continue
+            if path.suffix.lower() not in allowed:
+                faults.append(f"--{name} {path}: must end in {' or '.join(allowed)}")
+            elif path.is_dir():
+                faults.append(f"--{name} {path}: is a folder")
+            elif not path.absolute().parent.is_dir():
+                faults.append(f"--{name} {path}: there is no folder {path.absolute().parent}")
+        if self.figure is None and self.rows != PlanArguments.rows:
+            faults.append(f"--rows {self.rows}: there is no --figure whose rows these could be")
+        return faults
 
 
 def plan(arguments: list[str] | None = None) -> int:
     """Entry point of `soma-plan` and of scripts/plan.py. Returns the exit status."""
-    return run_command(_run, tyro.cli(PlanArguments, args=arguments, prog="soma-plan"))
+    return run_command(_run, parse(PlanArguments, arguments, "soma-plan"))
 
 
 def _run(options: PlanArguments) -> int:
+    options.check()
     from rich.console import Console
     from rich.tree import Tree
 
-    _check(options)
     from soma_bullet.assembly.file import load_assembly
-    from soma_bullet.planner.assist import HoldLoad
     from soma_bullet.planner.plan import NoPlanError, make_plan
-    from soma_bullet.planner.qualities import PlannerOptions, Qualities
+    from soma_bullet.planner.qualities import Qualities
     from soma_bullet.records import write_json
     from soma_bullet.report.explain import explain_plan, explain_rows
     from soma_bullet.report.table import plan_table
     from soma_bullet.robot.cell import find_hand
 
     console = Console(stderr=True)
-    console.width = max(console.width, 110)
+    console.width = max(console.width, WIDTH)
     assembly, hand = load_assembly(options.assembly), find_hand(options.hand)
-    settings = PlannerOptions(
-        options.stability, options.hands, options.seed, options.top, options.analyzer,
-        HoldLoad(options.push, options.disturbance),
-    )  # fmt: skip
-    qualities = Qualities(assembly, hand, settings)
+    qualities = Qualities(assembly, hand, options.planner)
     with console.status(f"planning {assembly.name}") as status:
         try:
-            found = make_plan(assembly, hand, settings, qualities=qualities)
+            found = make_plan(assembly, hand, options.planner, qualities=qualities)
         except NoPlanError as error:
             if options.explain:
                 console.print(explain_rows(error.rows, Tree(f"{assembly.name}: {error.summary}")))
@@ -106,31 +114,3 @@ def _run(options: PlanArguments) -> int:
         if path is not None:
             console.print(f"written: {path}", markup=False)
     return 0
-
-
-def _check(options: PlanArguments) -> None:
-    """Refuse what no plan could use, all at once, before any work."""
-    import math
-
-    from soma_bullet.errors import InputError
-
-    faults = []
-    for name, least in (("hands", 1), ("top", 1), ("rows", 1), ("seed", 0)):
-        value: int = getattr(options, name)
-        if value < least:
-            faults.append(f"--{name} {value}: must be at least {least}")
-    for name, amount in (("push", options.push), ("disturbance", options.disturbance)):
-        if not (math.isfinite(amount) and amount >= 0):
-            faults.append(f"--{name} {amount:g}: must not be negative")
-    endings = {"figure": (".png", ".svg", ".pdf"), "exploded": (".png", ".svg", ".pdf"), "out": (".json",)}
-    for name, allowed in endings.items():
-        path: Path | None = getattr(options, name)
-        if path is None:
-            continue
-        if path.suffix.lower() not in allowed:
-            faults.append(f"--{name} {path}: must end in {' or '.join(allowed)}")
-        elif path.is_dir() or not path.absolute().parent.is_dir():
-            what = "is a folder" if path.is_dir() else f"there is no folder {path.absolute().parent}"
-            faults.append(f"--{name} {path}: {what}")
-    if faults:
-        raise InputError("arguments", faults)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from soma_bullet.control.guide import Compliance
+from soma_bullet.control.options import Compliance
 from soma_bullet.control.travel import Motion, Steps, Travel, rest
 from soma_bullet.frames import Array, readonly, to_quat_xyzw
 from soma_bullet.sizes import Sizes

@@ -9,12 +9,13 @@ logged.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from soma_bullet.control.execute import Executor, Observation
+from soma_bullet.control.options import ExecutionOptions
 from soma_bullet.control.perception import Perception
 from soma_bullet.control.placement import Detour, Placement
 from soma_bullet.control.recovery import Recovery, Trouble
@@ -22,7 +23,7 @@ from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import readonly
 from soma_bullet.grasp.clearance import OPENING
 from soma_bullet.planner.assembly_plan import AssemblyPlan
-from soma_bullet.task.feed import FeedOptions
+from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.kinds import GRASP, PLACE, RETREAT, SETTLE, as_planned
 from soma_bullet.task.program.make import recover_program, replan
 from soma_bullet.task.program.motions import joined
@@ -35,23 +36,6 @@ from soma_bullet.task.workcell import Workcell
 LARGEST_JUMP = 0.01  # [rad] a path that starts no farther from the measured joints is bent to meet them
 RECOVERIES = 6  # in one episode
 Progress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True)
-class ExecutionOptions:
-    """How a program is executed.
-
-    Attributes:
-        together: the arms move at the same time where it is safe; else one at a time.
-        compliant: the wrist's force guides insertions; else they stop at the first touch.
-        recover: what does not go as planned is tried again where that is possible; else it ends the episode.
-        longest: simulated time [s] after which an episode is ended.
-    """
-
-    together: bool = True
-    compliant: bool = True
-    recover: bool = True
-    longest: float = 900.0
 
 
 class _TooLong(Exception):

@@ -8,10 +8,11 @@ yields to torques about that direction as well."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
+from soma_bullet.control.options import Compliance
 from soma_bullet.frames import Array, tangents
 
 PROGRESS = 0.1e-3  # [m] deeper than before: what gets so far yields to the force and is led around no more
@@ -19,48 +20,6 @@ PATIENCE = 0.05  # [s] of resistance before a search begins
 # [s] without getting deeper since the first resistance after which it begins where that comes and goes, too
 BOUNCING = 0.3
 STALLED = 90.0  # [s] without getting deeper after which it gives up: longer than all searches take
-
-
-@dataclass(frozen=True)
-class Compliance:
-    """How a hand yields.
-
-    Attributes:
-        press: resistance at which the hand advances no further, and backs off beyond it [N].
-        search: resistance from which it searches [N].
-        give: sideways speed for each newton [m/s/N], of forces beyond `dead` [N]; slower, a piece tilts in
-            the hand on the rim.
-        speed: of the search [m/s]; pitch: between two turns of its spiral [m].
-        reach: how far aside of its path the hand may get [m].
-        turns: by which the piece is turned in one search after the other, from how it came [rad].
-        twist: turning speed for each newton metre about the insertion's direction [rad/s/(N m)], of torques
-            beyond `slack` [N m], once it is `inside` [m] deeper than where it first met resistance: the
-            torque of a rim on which it stands says nothing about how it should turn. As sideways, at a lever
-            of 20 mm.
-        turning: speed at which the hand turns from one search to the next [rad/s].
-        most: how far the hand may turn [rad].
-        careful: largest fraction of the planned speed, in and out, until it is `entry` [m] deeper than where
-            it last met resistance: what comes in over an edge at speed pushes aside what it comes into; what
-            goes back at speed bounces.
-        limit: force at which the insertion is given up [N].
-    """
-
-    press: float = 1.5
-    search: float = 0.5
-    give: float = 20e-3
-    dead: float = 0.06
-    speed: float = 6e-3
-    pitch: float = 0.25e-3
-    reach: float = 1.6e-3
-    turns: tuple[float, ...] = (0.0, 0.026, -0.026)
-    twist: float = 25.0
-    slack: float = 1.2e-3
-    inside: float = 1e-3
-    turning: float = 0.1
-    most: float = 0.045
-    careful: float = 0.25
-    entry: float = 2e-3
-    limit: float = 14.0
 
 
 def scaled(compliance: Compliance, scale: float) -> Compliance:

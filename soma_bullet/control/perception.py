@@ -10,7 +10,8 @@ import numpy as np
 
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, readonly
-from soma_bullet.task.feed import Feed, FeedOptions, misplace
+from soma_bullet.task.feed import Feed, misplace
+from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.world.simulator import Simulator
 
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from soma_bullet.control.guide import Compliance, Guide, scaled
+from soma_bullet.control.guide import Guide, scaled
+from soma_bullet.control.options import Compliance
 from soma_bullet.frames import Array
 from soma_bullet.sizes import Sizes
 from soma_bullet.task.kinds import TRANSFER

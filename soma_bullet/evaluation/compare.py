@@ -16,6 +16,8 @@ from soma_bullet.errors import InputError
 from soma_bullet.evaluation.folder import LINES, read_lines
 from soma_bullet.evaluation.line import Line
 from soma_bullet.evaluation.statistics import Contrast, Extremes, Pairs, Rate, contrast, extremes
+from soma_bullet.option import flags
+from soma_bullet.options import EpisodeOptions
 
 COMPARISON = "comparison.json"
 PER_SEED = ("seed", "physics.friction", "physics.mass")  # of an episode's options: drawn, or its number
@@ -144,7 +146,7 @@ class Comparison:
 
 
 def compare(a: Path, b: Path, any_assembly: bool = False) -> Comparison:
-    """Compare two runs of scripts/evaluate.py, each a folder or its file of lines.
+    """Compare two runs of soma-evaluate, each a folder or its file of lines.
 
     Args:
         any_assembly: assemblies may differ, as long as their pieces have the same names.
@@ -187,7 +189,7 @@ def compare(a: Path, b: Path, any_assembly: bool = False) -> Comparison:
 def _lines(place: Path) -> dict[int, Line]:
     file = place / LINES if place.is_dir() else place
     if not file.is_file():
-        raise InputError(str(place), f"is no run of scripts/evaluate.py: there is no {LINES}")
+        raise InputError(str(place), f"is no run of soma-evaluate: there is no {LINES}")
     lines = {line["seed"]: line for line in read_lines(file)}
     if not lines:
         raise InputError(str(file), "has no lines")
@@ -237,9 +239,9 @@ def _differences(paired: Sequence[tuple[Line, Line]]) -> Iterator[Difference]:
             parts[2],
             *({f"drawn {name}": v for name, v in line.get("drawn", {}).items()} for line in (one, other)),
         )
-    said = {name.lstrip("-") for name in parts[0]}
+    names = {".".join(flag.path): flag.name for flag in flags(EpisodeOptions)}
     yield from parts[0].values()
-    yield from (d for name, d in parts[1].items() if name not in PER_SEED and name.split(".")[-1] not in said)
+    yield from (d for name, d in parts[1].items() if name not in PER_SEED and names.get(name) not in parts[0])
     yield from parts[2].values()
 
 

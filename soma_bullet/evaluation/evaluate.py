@@ -25,10 +25,11 @@ from soma_bullet.evaluation.folder import (
     write_summary,
 )
 from soma_bullet.evaluation.line import Line, run_line
-from soma_bullet.evaluation.options import VARIED, EvaluationOptions
+from soma_bullet.evaluation.options import EvaluationOptions
 from soma_bullet.evaluation.summary import summarise
 from soma_bullet.evaluation.workers import Episode, in_processes, on_ray
-from soma_bullet.robot.cell import find_hand, load_cell
+from soma_bullet.pipeline import cell_of
+from soma_bullet.planner.analyzers import check_analyzers
 
 
 @dataclass(frozen=True)
@@ -95,13 +96,10 @@ def _check(options: EvaluationOptions, backend: str) -> str:
         raise InputError(
             "--backend ray", "ray is not installed; `pip install 'soma_bullet[ray]'` installs it"
         )
-    strange = sorted(set(options.vary) - set(VARIED))
-    if strange:
-        raise InputError(
-            "--vary", f"{', '.join(map(repr, strange))}: must be of {', '.join(VARIED)}, or none"
-        )
+    options.check()
+    if options.episode.film is not None:
+        raise InputError("film", "no episode of an evaluation is filmed; a replay of one is")
+    check_analyzers(options.episode.planner)
     digest = load_assembly(options.assembly).digest
-    load_cell(options.cell)
-    if options.hand is not None:
-        find_hand(options.hand)
+    cell_of(options.episode)
     return digest

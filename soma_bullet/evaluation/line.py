@@ -15,17 +15,20 @@ from cattrs import Converter
 from cattrs.errors import BaseValidationError
 
 from soma_bullet.assembly.file import load_assembly
-from soma_bullet.bullet.stage import Physics
-from soma_bullet.control.executive import ExecutionOptions
-from soma_bullet.episode import EpisodeOptions, run_episode
+from soma_bullet.control.options import ExecutionOptions
+from soma_bullet.episode import run_episode
 from soma_bullet.errors import InputError, NoSolutionError
 from soma_bullet.evaluation.options import EvaluationOptions, draw, episode_options
-from soma_bullet.judge.judge import Judgement, Tolerance
-from soma_bullet.planner.qualities import PlannerOptions
+from soma_bullet.options import EpisodeOptions
+from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.records import package_versions, read_npz, to_tree
 from soma_bullet.report.report import EpisodeReport
-from soma_bullet.task.feed import FeedOptions
+from soma_bullet.task.feed_options import FeedOptions
+from soma_bullet.task.search_options import SearchOptions
+from soma_bullet.verdict.judge import Judgement
+from soma_bullet.verdict.options import Tolerance
 from soma_bullet.world.log import ExecutionLog
+from soma_bullet.world.options import Physics
 
 Line = dict[str, Any]  # what one episode came to
 # reports of progress of one episode, after which it is stopped; an ordinary one makes some hundreds
@@ -34,6 +37,7 @@ FIXED_VERSIONS = ("soma_bullet", "pybullet")  # lines of different ones are not 
 DIGITS = 4  # of the numbers in a line
 EPISODE_PARTS = {
     "planner": PlannerOptions,
+    "search": SearchOptions,
     "feed": FeedOptions,
     "execution": ExecutionOptions,
     "physics": Physics,

@@ -6,13 +6,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from soma_bullet.assembly.file import load_assembly
-from soma_bullet.episode import EpisodeOptions, run_episode
+from soma_bullet.episode import run_episode
 from soma_bullet.errors import InputError
 from soma_bullet.evaluation.folder import LINES, make_folder, read_lines
 from soma_bullet.evaluation.line import Line, options_of, outcome
 from soma_bullet.evaluation.options import EvaluationOptions
 from soma_bullet.evaluation.workers import in_processes
-from soma_bullet.pictures.film import FilmOptions
+from soma_bullet.options import EpisodeOptions
+from soma_bullet.pictures.options import FilmOptions
 
 
 @dataclass(frozen=True)

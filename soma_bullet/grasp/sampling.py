@@ -14,30 +14,11 @@ from soma_bullet.assembly.facets import Facet
 from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.frames import Array, Indices, readonly
 from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.options import SamplingOptions
 
 SMALLEST_OVERLAP = 1e-8  # [m2] of opposite faces
 # a line of length l twists with mu F l / 4, a square of that side with mu F l (sqrt(2) + asinh(1)) / 6
 LINE = (1.5 / (np.sqrt(2) + np.arcsinh(1.0))) ** 2
-
-
-@dataclass(frozen=True)
-class SamplingOptions:
-    """How grasps are sampled.
-
-    Attributes:
-        spacing: largest step of the grid on a facet pair's overlap [m].
-        rolls: hand orientations about the closing axis.
-        smallest_contact: fraction of the pad that must lie on both facets; of its length where they are
-            curved.
-        smallest_width: [m] a thinner piece is not gripped.
-        opening_margin: [m] a side that must remain between the open hand and the piece.
-    """
-
-    spacing: float = 0.006
-    rolls: int = 8
-    smallest_contact: float = 0.3
-    smallest_width: float = 0.002
-    opening_margin: float = 0.004
 
 
 @dataclass(frozen=True, eq=False)

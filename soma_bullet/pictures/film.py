@@ -21,73 +21,16 @@ from soma_bullet.pictures import look
 from soma_bullet.pictures.camera import CAMERAS, Frame, PieceVisual
 from soma_bullet.pictures.caption import Caption, holds, narration
 from soma_bullet.pictures.crew import Crew, Shot, Stage
+from soma_bullet.pictures.options import FilmOptions
 from soma_bullet.pictures.shots import HOLD, direct, portrait
 from soma_bullet.pictures.sight import Sight
-from soma_bullet.pictures.studio import RENDERERS
 from soma_bullet.pictures.video import check_format, write_video
 from soma_bullet.robot.compose import compose_urdf
 from soma_bullet.robot.model import Cell
 from soma_bullet.world.log import ExecutionLog
 
-AUTO = "auto"
 STILL = 24  # pictures that are averaged for the still
 LEAST = 0.6  # [s] that a caption is on show, if there is time
-
-
-@dataclass(frozen=True)
-class FilmOptions:
-    """How a film is made.
-
-    Attributes:
-        size: width and height [pixels], even.
-        fps: frames a second.
-        speed: seconds of the episode in one second of the film.
-        camera: one of CAMERAS, or `auto`, which goes where something happens.
-        renderer: `auto`, `egl` or `tiny`, see Studio.
-        supersampling: pictures averaged for one, for smooth edges and soft shadows, see Studio; 1 is the
-            fastest.
-        quality: x264's constant rate factor, 0..51; lower is better.
-        jobs: processes; 0 for up to two, as there are processors.
-    """
-
-    size: tuple[int, int] = (1280, 720)
-    fps: float = 30.0
-    speed: float = 4.0
-    camera: str = AUTO
-    renderer: str = "auto"
-    supersampling: int = 3
-    quality: int = 20
-    jobs: int = 0
-
-    def __post_init__(self) -> None:
-        faults = []
-        if any(side % 2 or side < 16 for side in self.size):
-            faults.append(f"size = {self.size[0]} x {self.size[1]}: both must be even, and at least 16")
-        if self.camera not in (AUTO, *CAMERAS):
-            faults.append(f"camera = {self.camera!r}: must be one of {', '.join((AUTO, *CAMERAS))}")
-        if self.renderer not in RENDERERS:
-            faults.append(f"renderer = {self.renderer!r}: must be one of {', '.join(RENDERERS)}")
-        for name in ("fps", "speed"):
-            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                faults.append(f"{name} = {getattr(self, name)}: must be positive")
-        if self.supersampling < 1:
-            faults.append(f"supersampling = {self.supersampling}: must be 1 or more")
-        if not 0 <= self.quality <= 51:
-            faults.append(f"quality = {self.quality}: must be from 0 to 51, lower is better")
-        if self.jobs < 0:
-            faults.append(f"jobs = {self.jobs}: must be 1 or more, or 0 for up to two")
-        if faults:
-            raise InputError("film", faults)
-
-    @property
-    def aspect(self) -> float:
-        """Width over height."""
-        return self.size[0] / self.size[1]
-
-    @property
-    def processes(self) -> int:
-        """How many to render on."""
-        return self.jobs or min(2, os.cpu_count() or 1)
 
 
 @dataclass(frozen=True)
@@ -118,10 +61,11 @@ def film(
         closing: the last caption, for instance the verdict.
 
     Raises:
-        InputError: log and assembly do not belong together, the file is of no format that can be written, or
-            `egl` was insisted on in vain.
+        InputError: an option is out of its range, log and assembly do not belong together, the file is of no
+            format that can be written, or `egl` was insisted on in vain.
     """
     options, start = options or FilmOptions(), time.monotonic()
+    options.check()
     _check(log, assembly)
     check_format(Path(path))
     with tempfile.TemporaryDirectory(prefix="soma_bullet_film_") as folder:
@@ -145,6 +89,7 @@ def still(
         Path(path),
         time.monotonic(),
     )
+    options.check()
     _check(log, assembly)
     camera = CAMERAS.get(options.camera)
     if camera is None:

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from soma_bullet.errors import InputError
+from soma_bullet.planner.options import PlannerOptions
 
 if TYPE_CHECKING:
     from soma_bullet.planner.qualities import Placed, Qualities
@@ -110,6 +111,13 @@ def state_analyzer(name: str) -> StateAnalyzer:
 def step_analyzer(name: str) -> StepAnalyzer:
     """The analyzer of steps of that name. Raises InputError."""
     return _found(name, STEPS | FURTHER, "analyzer")
+
+
+def check_analyzers(options: PlannerOptions) -> None:
+    """Raises InputError where one that is asked for is not there."""
+    state_analyzer(options.stability)
+    for name in options.analyzers:
+        step_analyzer(name)
 
 
 def _found(name: str, known: dict[str, Any], option: str) -> Any:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from soma_bullet.frames import Array
 from soma_bullet.planner.assist import HoldCertificate
+from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.orders import OrderRow
-from soma_bullet.planner.qualities import PlannerOptions
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from soma_bullet.planner.equilibrium import (
     active_contacts,
     contact_columns,
 )
+from soma_bullet.planner.options import HoldLoad
 from soma_bullet.planner.programs import RayProgram
 
 # A pad's pressure is spread out: four points at the mean distance of a square's points from its centre twist
@@ -28,19 +29,6 @@ from soma_bullet.planner.programs import RayProgram
 PATCH = (np.sqrt(2) + np.arcsinh(1.0)) / 6
 GRAVITY = 9.81  # [m/s2]
 SMALLEST_MARGIN = 1.0  # of a certificate: a hold with less would slip
-
-
-@dataclass(frozen=True)
-class HoldLoad:
-    """What a hold must resist, beside gravity.
-
-    Attributes:
-        push: force of the next insertion along its direction [N]; a guarded insertion stops below it.
-        disturbance: horizontal acceleration of every placed piece [g].
-    """
-
-    push: float = 2.0
-    disturbance: float = 0.1
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ class Holds:
 
     def __init__(self, qualities: Qualities):
         self.q = qualities
-        self.hands, self.count = qualities.options.hands, len(qualities.assembly.names)
+        self.hands, self.count = qualities.options.hand_count, len(qualities.assembly.names)
         self.analyse = state_analyzer(qualities.options.stability)
         self.refused: set[tuple[Placed, int, int | None]] = (
             set()

@@ -22,8 +22,9 @@ from soma_bullet.planner.assembly_plan import (
 )
 from soma_bullet.planner.assist import SMALLEST_MARGIN, HoldCertificate, certify_hold
 from soma_bullet.planner.equilibrium import TIE
+from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.orders import MOST_ENUMERATED, OrderRow, Orders, rounded
-from soma_bullet.planner.qualities import Placed, PlannerOptions, Qualities, way_length
+from soma_bullet.planner.qualities import Placed, Qualities, way_length
 from soma_bullet.planner.search import follow
 from soma_bullet.records import package_versions
 
@@ -58,9 +59,8 @@ def make_plan(
         InputError: the finished assembly cannot stand, or an analyzer is not known.
         NoPlanError: no order is feasible; carries what blocked, most frequent first.
     """
-    options = options or PlannerOptions()
-    if options.hands < 1 or options.top < 1:
-        raise InputError("options", f"hands ({options.hands}) and top ({options.top}) must be at least 1")
+    options = (options or PlannerOptions()).with_hands()
+    options.check()
     qualities = qualities or Qualities(assembly, hand, options)
     orders = Orders(qualities)
     _check_final(assembly, orders)

@@ -6,7 +6,6 @@ Qualities depend on the placed set and the piece alone, so that n! orders share 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,40 +15,15 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, Indices, Mask
 from soma_bullet.grasp.clearance import HandSweep, clear_of_piece, clear_of_scene, hands_clear, sweep_hand
 from soma_bullet.grasp.hand import Hand
-from soma_bullet.grasp.sampling import GraspSet, SamplingOptions, sample_grasps
+from soma_bullet.grasp.sampling import GraspSet, sample_grasps
 from soma_bullet.planner.assemblability import Assemblability, Rank, analyse_assemblability
-from soma_bullet.planner.assist import HoldLoad
 from soma_bullet.planner.equilibrium import StateStability, classify, friction_of
+from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.paper_stability import contact_wrenches, wrench_margin
 
 Placed = frozenset[int]
 FEW = 6  # grasps of either hand that are tried first where one pair is enough
 SPREAD = 12  # grasps of an incoming hand that are tried before all of them
-
-
-@dataclass(frozen=True)
-class PlannerOptions:
-    """How the planner judges.
-
-    Attributes:
-        stability: `equilibrium` (the whole placed set at once), `paper` (one piece against fixed neighbours),
-            or an analyzer of your own, as `module:function` (see soma_bullet.planner.analyzers).
-        hands: hands of the robot; one inserts, the others may hold.
-        seed: breaks exact ties of score.
-        top: how many of the best orders are worked out step by step.
-        analyzers: further analyzers of steps: `grounded`, or your own as `module:function`; their smallest
-            values are factors of the score.
-        load: what a hold must resist beside gravity.
-        sampling: how grasps are sampled.
-    """
-
-    stability: str = "equilibrium"
-    hands: int = 2
-    seed: int = 0
-    top: int = 1
-    analyzers: tuple[str, ...] = ()
-    load: HoldLoad = HoldLoad()
-    sampling: SamplingOptions = SamplingOptions()
 
 
 class Qualities:

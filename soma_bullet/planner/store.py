@@ -19,8 +19,8 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError
 from soma_bullet.grasp.hand import Hand
 from soma_bullet.planner.assembly_plan import AssemblyPlan
+from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.plan import easiest_orders, make_plan, picked
-from soma_bullet.planner.qualities import PlannerOptions
 from soma_bullet.records import package_versions, read_json, to_tree, write_json
 
 
@@ -44,7 +44,7 @@ def kept_plan(
     Raises:
         InputError, NoPlanError: as `make_plan`.
     """
-    options = options or PlannerOptions()
+    options = (options or PlannerOptions()).with_hands()
     own = any(":" in name for name in (options.stability, *options.analyzers))
     if own or not assembly.digest:
         return make_plan(assembly, hand, options, excluded)

@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from soma_bullet.judge.judge import Judgement, PieceVerdict, Tolerance
+from soma_bullet.verdict.judge import Judgement, PieceVerdict
+from soma_bullet.verdict.options import Tolerance
 from soma_bullet.world.log import Event
 
 

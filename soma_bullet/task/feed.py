@@ -4,7 +4,6 @@ any yaw."""
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 import shapely
@@ -20,39 +19,9 @@ from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.tables import grasp_poses
 from soma_bullet.robot.model import Cell
 from soma_bullet.sizes import Sizes
+from soma_bullet.task.feed_options import SIGMAS, FeedOptions
 
-SIGMAS = 3.0  # of the noise of perception that a hand makes room for
 DRAWS = 10_000
-
-
-@dataclass(frozen=True)
-class FeedOptions:
-    """How the pieces are fed.
-
-    Attributes:
-        layout: `random` draws places and yaws; `rows` lays the pieces out evenly, without yaw.
-        noise_mm, noise_deg: one sigma of what the perceived poses are off by, in x, y [mm] and yaw [deg]; of
-            uniform errors the largest, in any direction.
-        errors: `normal`, or `uniform` over a disc and an interval.
-        square: pieces of an inexact feed are squared before they are picked; else they are picked as seen.
-        poses: `all` draws each piece's resting pose among the steady ones; `preferred` takes the one with the
-            most grasps that also serve at the goal, as `rows` always does.
-    """
-
-    layout: Literal["random", "rows"] = "random"
-    noise_mm: float = 0.0
-    noise_deg: float = 0.0
-    poses: Literal["all", "preferred"] = "all"
-    errors: Literal["normal", "uniform"] = "normal"
-    square: bool = True
-
-    @property
-    def noise(self) -> tuple[float, float]:
-        """One sigma of the errors [mm], [deg], as in `Feed`; of uniform ones what has them end at SIGMAS
-        times that."""
-        if self.errors == "uniform":
-            return self.noise_mm / SIGMAS, self.noise_deg / SIGMAS
-        return self.noise_mm, self.noise_deg
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,8 @@ import numpy as np
 
 from soma_bullet.bullet.standing import stands
 from soma_bullet.planner.equilibrium import TIE, classify
-from soma_bullet.planner.qualities import PlannerOptions, Qualities
+from soma_bullet.planner.options import PlannerOptions
+from soma_bullet.planner.qualities import Qualities
 from soma_bullet.records import write_json
 from soma_bullet.robot.cell import load_cell
 from soma_bullet.robot.model import Cell

@@ -17,8 +17,9 @@ from soma_bullet.assembly.packings import draw_soma_cubes, sides_down, soma_cube
 from soma_bullet.assembly.polycubes import cube_rotations
 from soma_bullet.errors import SomaBulletError
 from soma_bullet.grasp.hand import Hand
+from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.plan import make_plan
-from soma_bullet.planner.qualities import PlannerOptions, Qualities
+from soma_bullet.planner.qualities import Qualities
 from soma_bullet.robot.cell import find_hand
 
 HAND = "ur5e_pair"  # whose hand it is

@@ -16,7 +16,7 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.bullet.quiet import pybullet as p
 from soma_bullet.bullet.simulator import LOOKS_EVERY, BulletSimulator
-from soma_bullet.bullet.stage import Physics
+from soma_bullet.bullet.stage import time_step
 from soma_bullet.bullet.upkeep import EVERY, STALE, STALE_POINTS
 from soma_bullet.frames import (
     Array,
@@ -30,6 +30,7 @@ from soma_bullet.frames import (
 from soma_bullet.robot.cell import load_cell
 from soma_bullet.robot.kinematics import Robot
 from soma_bullet.robot.model import Cell
+from soma_bullet.world.options import Physics
 from tests.blocks import SIDE, assembly, box, cells
 
 STAND = (0.03, 0.03)
@@ -76,7 +77,7 @@ def running(
 
 
 def run(world: BulletSimulator, seconds: float) -> None:
-    for _ in range(round(seconds / world.physics.dt)):
+    for _ in range(round(seconds / time_step(world.physics))):
         world.step()
 
 

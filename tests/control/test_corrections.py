@@ -12,10 +12,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from soma_bullet.control.correction import GONE_MM, SHARES, Correction
-from soma_bullet.control.executive import ExecutionOptions, Executive
+from soma_bullet.control.executive import Executive
+from soma_bullet.control.options import ExecutionOptions
 from soma_bullet.control.placement import DOUBT, LOOKS
 from soma_bullet.frames import Array, inverse
-from soma_bullet.task.feed import FeedOptions
+from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.segment import Segment
 from tests.soma3 import planned
 

@@ -12,9 +12,8 @@ import pytest
 
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.bullet.simulator import BulletSimulator
-from soma_bullet.bullet.stage import Physics
 from soma_bullet.control.execute import FINAL_SETTLE, Executor
-from soma_bullet.control.guide import Compliance
+from soma_bullet.control.options import Compliance
 from soma_bullet.frames import Array, make_transform, readonly
 from soma_bullet.motion.line import sample_line
 from soma_bullet.motion.timing import HandLimits, time_path
@@ -24,6 +23,7 @@ from soma_bullet.robot.model import Cell
 from soma_bullet.sizes import Sizes
 from soma_bullet.task.kinds import KINDS
 from soma_bullet.task.segment import CLOSING, DT, FOLLOWING, Segment
+from soma_bullet.world.options import Physics
 from tests.blocks import SIDE, assembly, box
 
 SIZES = Sizes(1.0)

@@ -9,18 +9,20 @@ import numpy as np
 import pytest
 
 from soma_bullet.bullet.simulator import BulletSimulator
-from soma_bullet.bullet.stage import Physics
 from soma_bullet.control.execute import Executor, Observation
-from soma_bullet.control.executive import ExecutionOptions, Executive
-from soma_bullet.control.guide import Compliance
+from soma_bullet.control.executive import Executive
+from soma_bullet.control.options import Compliance, ExecutionOptions
 from soma_bullet.control.recovery import Trouble
-from soma_bullet.judge.judge import Tolerance, judge
-from soma_bullet.task.feed import FeedOptions, draw_feed
+from soma_bullet.task.feed import draw_feed
+from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.program.make import make_program
 from soma_bullet.task.program.overlap.loosen import overlapped
 from soma_bullet.task.program.program import Program
 from soma_bullet.task.segment import Segment
+from soma_bullet.verdict.judge import judge
+from soma_bullet.verdict.options import Tolerance
 from soma_bullet.world.log import ExecutionLog
+from soma_bullet.world.options import Physics
 from tests.soma3 import planned
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("executive")]

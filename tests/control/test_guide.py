@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from soma_bullet.control.guide import Compliance, Guide
+from soma_bullet.control.guide import Guide
+from soma_bullet.control.options import Compliance
 from soma_bullet.frames import Array
 
 DT = 1 / 480

@@ -10,8 +10,8 @@ from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.grasp.hand import Hand, load_hand
 from soma_bullet.planner.assembly_plan import AssemblyPlan
+from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.plan import make_plan
-from soma_bullet.planner.qualities import PlannerOptions
 
 ROOT = Path(__file__).resolve().parents[2]
 

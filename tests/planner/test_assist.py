@@ -11,7 +11,8 @@ from blocks import assembly, box
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, make_transform
 from soma_bullet.grasp.hand import Hand
-from soma_bullet.planner.assist import GRAVITY, HoldLoad, certify_hold
+from soma_bullet.planner.assist import GRAVITY, certify_hold
+from soma_bullet.planner.options import HoldLoad
 
 SIZE = 0.03  # [m]
 DOWN = np.array((0.0, 0.0, -1.0))

@@ -14,9 +14,8 @@ from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.grasp.hand import load_hand
 from soma_bullet.planner.assembly_plan import AssemblyPlan
-from soma_bullet.planner.assist import HoldLoad
+from soma_bullet.planner.options import HoldLoad, PlannerOptions
 from soma_bullet.planner.plan import NoPlanError, make_plan
-from soma_bullet.planner.qualities import PlannerOptions
 
 ROOT = Path(__file__).resolve().parents[2]
 DOWN, ALONG_X, AGAINST_X = (0.0, 0.0, -1.0), (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0)

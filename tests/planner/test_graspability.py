@@ -19,8 +19,10 @@ from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.frames import Array, apply
 from soma_bullet.grasp.clearance import MARGIN, OPENING, SUPPORT_MARGIN, WAY_OUT, hand_hulls, sweep_hand
 from soma_bullet.grasp.hand import Hand
-from soma_bullet.grasp.sampling import GraspSet, SamplingOptions, sample_grasps
-from soma_bullet.planner.qualities import PlannerOptions, Qualities, way_length
+from soma_bullet.grasp.options import SamplingOptions
+from soma_bullet.grasp.sampling import GraspSet, sample_grasps
+from soma_bullet.planner.options import PlannerOptions
+from soma_bullet.planner.qualities import Qualities, way_length
 
 ALL = {name: load_assembly(name) for name in ("soma3", "soma4")}
 PIECES = {piece.name: piece for whole in ALL.values() for piece in whole.pieces}

@@ -31,9 +31,10 @@ from soma_bullet.grasp.hand import Hand, load_hand
 from soma_bullet.planner.assemblability import Assemblability, analyse_assemblability, analyse_freedom
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.equilibrium import equilibrium_margin
+from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.plan import make_plan
 from soma_bullet.planner.programs import PushRegion
-from soma_bullet.planner.qualities import PlannerOptions, Qualities
+from soma_bullet.planner.qualities import Qualities
 from soma_bullet.validation.subassemblies import assembly_of, random_placements
 
 ROOT = Path(__file__).resolve().parents[2]

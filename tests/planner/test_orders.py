@@ -17,9 +17,9 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.grasp.hand import Hand
 from soma_bullet.planner.assemblability import Assemblability
 from soma_bullet.planner.equilibrium import StateStability
+from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.orders import Orders
 from soma_bullet.planner.plan import make_plan
-from soma_bullet.planner.qualities import PlannerOptions
 from soma_bullet.planner.search import NOTHING, follow, score_of
 
 ROBUST, LEANING, FALLS = (

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from soma_bullet.planner.analyzers import Judgement
 from soma_bullet.planner.holds import Holds
-from soma_bullet.planner.qualities import PlannerOptions
+from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.search import Found, Placed, Support, best_orders, follow, follow_all, score_of
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -12,8 +12,8 @@ from blocks import assembly, box
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.grasp.hand import Hand
 from soma_bullet.planner import store
+from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.plan import easiest_orders, make_plan, picked
-from soma_bullet.planner.qualities import PlannerOptions
 from soma_bullet.planner.store import kept_plan
 from soma_bullet.records import write_json
 

@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from soma_bullet.judge.judge import (
+from soma_bullet.records import package_versions, read_json, write_json
+from soma_bullet.report.report import EpisodeReport, print_report
+from soma_bullet.verdict.judge import (
     ForbiddenContact,
     GraspSlip,
     HoldDrift,
@@ -17,10 +19,8 @@ from soma_bullet.judge.judge import (
     Judgement,
     Limits,
     PieceVerdict,
-    Tolerance,
 )
-from soma_bullet.records import package_versions, read_json, write_json
-from soma_bullet.report.report import EpisodeReport, print_report
+from soma_bullet.verdict.options import Tolerance
 from soma_bullet.world.log import Event
 
 

@@ -10,7 +10,8 @@ from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.plan import make_plan
 from soma_bullet.robot.cell import load_cell
 from soma_bullet.robot.model import Cell
-from soma_bullet.task.feed import Feed, FeedOptions, draw_feed
+from soma_bullet.task.feed import Feed, draw_feed
+from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.program.make import make_program
 from soma_bullet.task.program.program import Program
 from soma_bullet.task.workcell import Workcell

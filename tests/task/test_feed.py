@@ -18,12 +18,12 @@ from soma_bullet.robot.model import Cell
 from soma_bullet.sizes import Sizes
 from soma_bullet.task.feed import (
     Feed,
-    FeedOptions,
     draw_feed,
     misplace,
     preferred_resting_pose,
     serving_grasps,
 )
+from soma_bullet.task.feed_options import FeedOptions
 
 SEEDS = range(50)
 ALL = FeedOptions(poses="all")

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from soma_bullet.planner.assembly_plan import AssemblyPlan, Hold
-from soma_bullet.planner.assist import HoldCertificate, HoldLoad
+from soma_bullet.planner.assist import HoldCertificate
+from soma_bullet.planner.options import HoldLoad
 from soma_bullet.planner.plan import make_plan
 from soma_bullet.planner.tables import grasp_poses, grasp_table
 from soma_bullet.robot.model import Cell
-from soma_bullet.task.feed import FeedOptions, draw_feed
+from soma_bullet.task.feed import draw_feed
+from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.program.make import make_program
 from soma_bullet.task.program.program import Program, moments
 from soma_bullet.task.workcell import Workcell

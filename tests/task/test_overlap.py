@@ -11,7 +11,8 @@ from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.records import to_tree
 from soma_bullet.robot.collision import Situation
 from soma_bullet.robot.silhouette import distance
-from soma_bullet.task.feed import FeedOptions, draw_feed
+from soma_bullet.task.feed import draw_feed
+from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.program.make import make_program
 from soma_bullet.task.program.motions import scene_for
 from soma_bullet.task.program.overlap.loosen import overlapped

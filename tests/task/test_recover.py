@@ -17,7 +17,8 @@ from soma_bullet.robot.model import Cell
 from soma_bullet.task.actions.hold import Hold
 from soma_bullet.task.actions.put_down import PutDown
 from soma_bullet.task.actions.square import Square
-from soma_bullet.task.feed import Feed, FeedOptions, draw_feed
+from soma_bullet.task.feed import Feed, draw_feed
+from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.program.make import make_program, recover_program
 from soma_bullet.task.program.overlap.loosen import overlapped
 from soma_bullet.task.program.program import Program, moments

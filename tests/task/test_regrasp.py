@@ -27,7 +27,8 @@ from soma_bullet.robot.collision import Situation
 from soma_bullet.robot.model import Cell
 from soma_bullet.task.actions.hand_over import HandOver
 from soma_bullet.task.actions.put_down import PutDown
-from soma_bullet.task.feed import FeedOptions, draw_feed
+from soma_bullet.task.feed import draw_feed
+from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.program.make import make_program
 from soma_bullet.task.program.motions import scene_for
 from soma_bullet.task.program.program import Program, moments

@@ -17,7 +17,8 @@ from soma_bullet.planner.equilibrium import classify
 from soma_bullet.planner.tables import grasp_poses
 from soma_bullet.task.actions.hand_over import HandOver
 from soma_bullet.task.actions.put_down import PutDown
-from soma_bullet.task.feed import Feed, FeedOptions, draw_feed
+from soma_bullet.task.feed import Feed, draw_feed
+from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.limits import Effort
 from soma_bullet.task.schedule import Schedule
 from soma_bullet.task.search import placing, search

@@ -15,7 +15,8 @@ from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.records import read_npz, write_npz
 from soma_bullet.robot.model import Cell
 from soma_bullet.task.actions.square import ACROSS, Square, squeezing_grips
-from soma_bullet.task.feed import FeedOptions, draw_feed
+from soma_bullet.task.feed import draw_feed
+from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.program.make import make_program
 from soma_bullet.task.program.program import Program, moments
 from soma_bullet.task.workcell import Workcell

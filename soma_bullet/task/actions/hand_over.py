@@ -14,7 +14,7 @@ from soma_bullet.task.actions.pick import carrying, close
 from soma_bullet.task.actions.release import leave
 from soma_bullet.task.kinds import TRANSFER
 from soma_bullet.task.lines import Mover, Spot
-from soma_bullet.task.search.places import meeting_poses
+from soma_bullet.task.places import meeting_poses
 from soma_bullet.task.state import CellState, Stance
 
 if TYPE_CHECKING:

@@ -14,8 +14,8 @@ from soma_bullet.task.actions.pick import carrying, opened_at
 from soma_bullet.task.actions.release import leave
 from soma_bullet.task.kinds import LOWER, SET_DOWN, SETTLE, TRANSFER
 from soma_bullet.task.lines import Spot
+from soma_bullet.task.places import free_places
 from soma_bullet.task.posture import posture_cost
-from soma_bullet.task.search.places import free_places
 from soma_bullet.task.segment import SETTLING, UP
 from soma_bullet.task.state import CellState, Stance
 

@@ -4,7 +4,6 @@ tried."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 from soma_bullet.errors import NoSolutionError
 from soma_bullet.planner.assembly_plan import AssemblyPlan
@@ -16,24 +15,11 @@ from soma_bullet.task.program.make import make_program
 from soma_bullet.task.program.program import Program
 from soma_bullet.task.refusal import Refusals
 from soma_bullet.task.search.scheduler import Scheduler
+from soma_bullet.task.search_options import SearchOptions
 from soma_bullet.task.workcell import Workcell
 
 # of the best score: before orders below, the better ones are searched again, so many times longer
 POOR, THOROUGH = 0.2, 3
-
-
-@dataclass(frozen=True)
-class SearchOptions:
-    """How far schedules are searched, by counts: the same search ends the same way on any machine."""
-
-    lines: int = 80_000
-    """Lines of hands made or checked for all orders together, after which the search ends: about 60 s."""
-    order_lines: int = 36_000
-    """The same for one order."""
-    orders: int = 12
-    """Orders that are tried, best first."""
-    scenes: int = 2_000
-    """Scenes for collision checks that are kept in memory, at most."""
 
 
 def program_of_best_order(

@@ -10,9 +10,10 @@ import pytest
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, apply, make_transform, rotation_about, to_quat_xyzw
-from soma_bullet.judge.judge import Judgement, Tolerance, judge
 from soma_bullet.robot.cell import load_cell
 from soma_bullet.robot.model import Cell
+from soma_bullet.verdict.judge import Judgement, judge
+from soma_bullet.verdict.options import Tolerance
 from soma_bullet.world.log import ExecutionLog, SegmentRecord
 
 T_WORLD_ASSEMBLY = make_transform(translation=(0.0, 0.0, 0.1))

@@ -12,18 +12,11 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, Indices, apply, inverse, rotation_angle
 from soma_bullet.robot.model import Cell
 from soma_bullet.task.kinds import KINDS
+from soma_bullet.verdict.options import Tolerance
 from soma_bullet.world.log import ExecutionLog, SegmentRecord
 
 STAND, TABLE = "stand", "table"
 VELOCITY_EXCESS = 1.05  # of a joint's limit, measured by differences over a sample
-
-
-@dataclass(frozen=True)
-class Tolerance:
-    """What counts as in place: displacement of the centre of mass [mm] and rotation [deg]."""
-
-    mm: float = 2.0
-    deg: float = 2.0
 
 
 @dataclass(frozen=True)
@@ -132,9 +125,21 @@ class Judgement:
     makespan_s: float
 
 
-def judge(log: ExecutionLog, assembly: Assembly, cell: Cell, tolerance: Tolerance) -> Judgement:
-    """Judge one episode. Success: settled, every piece in place, nothing dropped, nothing forbidden touched,
-    limits kept."""
+def judge(log: ExecutionLog, assembly: Assembly, cell: Cell, tolerance: Tolerance | None = None) -> Judgement:
+    """Judge one episode by what its log says: where every piece ended up, and what touched what on the way.
+
+    Success: the program ended, every piece is in place, nothing was dropped, nothing forbidden was touched,
+    and the limits of the arms were kept.
+
+    Args:
+        log: of the episode, of these pieces and of this cell.
+        tolerance: what counts as in place; within 2 mm and 2 degrees by default.
+
+    Raises:
+        InputError: the tolerance is not positive.
+    """
+    tolerance = tolerance or Tolerance()
+    tolerance.check()
     pieces = tuple(_piece(log, assembly, k, tolerance) for k in range(len(assembly.pieces)))
     forbidden = tuple(_forbidden(log, assembly, cell))
     dropped = tuple(

@@ -1,0 +1,1 @@
+"""Timings of planner, motions, physics and whole episodes."""
