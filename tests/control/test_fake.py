@@ -5,7 +5,6 @@ What the cut between control and simulator promises: whatever has the members of
 from __future__ import annotations
 
 import inspect
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -17,22 +16,15 @@ from soma_bullet.control.options import Compliance, ExecutionOptions
 from soma_bullet.frames import Array, translate
 from soma_bullet.records import read_npz, write_npz
 from soma_bullet.task.feed_options import FeedOptions
-from soma_bullet.task.program.overlap.loosen import overlapped
 from soma_bullet.task.program.program import Program
 from soma_bullet.verdict.judge import Judgement, judge
 from soma_bullet.world.log import ExecutionLog
 from soma_bullet.world.simulator import Simulator
 from tests.control.fake import FakeSimulator
-from tests.soma3 import planned
+from tests.soma3 import loosened, planned
 
 EVERY = 10  # samples of a trajectory between those of the log
 ADDED = 2.0  # [s] that feeling and settling may take beyond what was planned
-
-
-@cache
-def loosened() -> Program:
-    workcell, _, program = planned()
-    return overlapped(workcell, program)
 
 
 def feed_of(program: Program) -> dict[str, Array]:

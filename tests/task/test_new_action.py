@@ -83,9 +83,7 @@ def start(scheduler: Scheduler) -> CellState:
 
 
 @pytest.fixture(scope="module")
-def program(
-    workcell: Workcell, plan: AssemblyPlan, program: Program, pushed: Push, start: CellState
-) -> Program:
+def pushing(workcell: Workcell, program: Program, pushed: Push, start: CellState) -> Program:
     """A program of nothing but the push, from a state as found."""
     schedule = Schedule((), {}, (pushed,))
     segments = [s for _, s, _ in ProgramBuilder(workcell, program.feed, schedule, 0, start).run()]
@@ -155,35 +153,35 @@ def test_its_effects_follow_from_its_steps(workcell: Workcell, start: CellState,
     assert_pushed(start, pushed.effects(workcell, start), pushed)
 
 
-def test_it_becomes_segments(workcell: Workcell, program: Program, start: CellState, pushed: Push) -> None:
-    kinds = [s.kind for s in program.segments]
+def test_it_becomes_segments(workcell: Workcell, pushing: Program, start: CellState, pushed: Push) -> None:
+    kinds = [s.kind for s in pushing.segments]
     assert [kind.name for kind in kinds] == ["transit", "approach", "touch", "push", "retreat"]
-    for before, segment, _ in moments(workcell, program):
+    for before, segment, _ in moments(workcell, pushing):
         if segment.kind.moves:
             np.testing.assert_allclose(segment.path[0], before.qs[pushed.arm], atol=1e-9)
         if segment.kind is PUSH:
             assert before.gripped == {pushed.arm: pushed.piece} and pushed.arm in before.carried
             speed = np.linalg.norm(segment.offset) / segment.seconds
             assert 0.5 * push.GENTLE.speed < speed < push.GENTLE.speed
-    *_, (_, _, after) = moments(workcell, program)
+    *_, (_, _, after) = moments(workcell, pushing)
     assert_pushed(start, after, pushed)
 
 
-def test_arms_at_the_same_time_leave_it_as_it_is(workcell: Workcell, program: Program) -> None:
-    together = overlapped(workcell, program)
-    assert [s.kind for s in together.segments] == [s.kind for s in program.segments]
+def test_arms_at_the_same_time_leave_it_as_it_is(workcell: Workcell, pushing: Program) -> None:
+    together = overlapped(workcell, pushing)
+    assert [s.kind for s in together.segments] == [s.kind for s in pushing.segments]
 
 
 # --- execution ----------------------------------------------------------------------------------------------
 
 
 def test_it_is_executed(
-    workcell: Workcell, plan: AssemblyPlan, program: Program, start: CellState, pushed: Push
+    workcell: Workcell, plan: AssemblyPlan, pushing: Program, start: CellState, pushed: Push
 ) -> None:
     world = WithFingers(workcell, start.poses)
-    executor = Executor(world, program, workcell.sizes, Compliance(), 10)
-    executive = Executive(workcell, plan, program, executor, FeedOptions(), ExecutionOptions())
-    assert executive._run(program) is None
+    executor = Executor(world, pushing, workcell.sizes, Compliance(), 10)
+    executive = Executive(workcell, plan, pushing, executor, FeedOptions(), ExecutionOptions())
+    assert executive._run(pushing) is None
     assert {record.outcome for record in executor.recorder.segments} == {"as planned"}
     assert_pushed(start, executive.state, pushed)
     for name, pose in world.piece_poses().items():
@@ -191,7 +189,7 @@ def test_it_is_executed(
 
 
 def test_a_task_of_which_it_is_a_part_is_built(
-    workcell: Workcell, plan: AssemblyPlan, program: Program, scheduler: Scheduler, pushed: Push
+    workcell: Workcell, plan: AssemblyPlan, pushing: Program, scheduler: Scheduler, pushed: Push
 ) -> None:
     """The piece is pushed, and picked from where it lies then."""
     feed = scheduler.feed
@@ -202,7 +200,7 @@ def test_a_task_of_which_it_is_a_part_is_built(
     schedule = replace(found, assignments=(replace(first, bring=(pushed, *first.bring)), *rest))
     segments = [s for _, s, _ in ProgramBuilder(workcell, feed, schedule, 0).run()]
     after = one_at_a_time(len(segments))
-    whole = replace(program, schedule=schedule, segments=tuple(segments), after=after, start=None)
+    whole = replace(pushing, schedule=schedule, segments=tuple(segments), after=after, start=None)
     world = WithFingers(workcell, {name: feed.pose(name) for name in feed.names})
     executor = Executor(world, whole, workcell.sizes, Compliance(), 10)
     ended = Executive(workcell, plan, whole, executor, FeedOptions(), ExecutionOptions()).run()
@@ -216,12 +214,12 @@ def test_a_task_of_which_it_is_a_part_is_built(
 # --- records ------------------------------------------------------------------------------------------------
 
 
-def test_it_is_written_and_read_back(program: Program, pushed: Push, tmp_path: Path) -> None:
-    write_npz(program.schedule, tmp_path / "schedule.npz")
+def test_it_is_written_and_read_back(pushing: Program, pushed: Push, tmp_path: Path) -> None:
+    write_npz(pushing.schedule, tmp_path / "schedule.npz")
     (read,) = read_npz(Schedule, tmp_path / "schedule.npz").changes
     assert isinstance(read, Push) and read.identity == pushed.identity
     np.testing.assert_array_equal(read.q_pushed, pushed.q_pushed)
-    write_npz(program, tmp_path / "one.npz")
+    write_npz(pushing, tmp_path / "one.npz")
     again = read_npz(Program, tmp_path / "one.npz")
     assert [s.kind for s in again.segments if s.kind in (TOUCH, PUSH)] == [TOUCH, PUSH]
     assert all(s.kind is KINDS[s.kind.name] for s in again.segments)
