@@ -14,6 +14,7 @@ from soma_bullet.motion.line import LineError
 from soma_bullet.motion.timing import TimingError
 from soma_bullet.motion.transfer import TransferError
 from soma_bullet.robot.collision import Scene
+from soma_bullet.seeds import derived
 from soma_bullet.task.actions.action import Action, Step, Steps
 from soma_bullet.task.actions.go_home import GoHome
 from soma_bullet.task.actions.hand_over import HandOver
@@ -192,7 +193,7 @@ class ProgramBuilder:
         kind, arm, piece = step.kind, step.arm, step.piece
         assert step.q_end is not None
         widths, scene = widths_to(before, arm, step.opening), self._scene(before, kind, arm, piece)
-        start, seed = before.qs[arm], self.seed + 1000 * self.count
+        start, seed = before.qs[arm], derived(self.seed, "motion", self.count)
         try:
             return plan_motion(self.workcell, scene, before, arm, start, step.q_end, widths, seed)
         except TransferError as error:

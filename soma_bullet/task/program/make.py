@@ -17,6 +17,7 @@ from soma_bullet.motion.line import LineError
 from soma_bullet.motion.timing import TimingError
 from soma_bullet.motion.transfer import TransferError
 from soma_bullet.planner.assembly_plan import AssemblyPlan
+from soma_bullet.seeds import derived
 from soma_bullet.task.feed import Feed
 from soma_bullet.task.program.builder import MotionError, ProgramBuilder, guarded
 from soma_bullet.task.program.motions import plan_motion, scene_for, straight_motion, widths_along
@@ -117,7 +118,7 @@ def replan(workcell: Workcell, program: Program, index: int, qs: Sequence[Array]
             path = straight_motion(workcell, scene, before, segment.arm, start, segment.offset, segment.kind)
         else:
             widths = widths_along(before, segment)
-            goal, seed = segment.path[-1], program.seed + index
+            goal, seed = segment.path[-1], derived(program.seed, "again", index)
             path = plan_motion(workcell, scene, before, segment.arm, start, goal, widths, seed)
     except (LineError, TransferError, TimingError) as error:
         reason = f"{segment.piece}: {segment.kind} cannot be made from the measured joints: {error}"
