@@ -132,12 +132,24 @@ def run_episode(
         makespan_s=verdict.makespan_s,
         planned_s=_planned(program),
         events=log.events,
+        notes=_notes(program, log, options),
         wall_s={name: round(seconds, 3) for name, seconds in clock.seconds.items()},
         video=video,
         versions=package_versions(),
     )
     _write(out, "report.json", report)
     return report
+
+
+def _notes(program: Program | None, log: ExecutionLog, options: EpisodeOptions) -> tuple[str, ...]:
+    """What the seed decided of an episode whose program was made with another."""
+    if program is None or program.seed == log.seed:
+        return ()
+    errors = "where pieces really lie and by how much looks err, and " if any(options.feed.noise) else ""
+    return (
+        f"the program was made with seed {program.seed}: feed, schedule and motions are its; seed {log.seed} "
+        f"decided {errors}how recoveries move",
+    )
 
 
 def _check_folder(out: Path | None) -> None:

@@ -113,7 +113,7 @@ def executed(
     execution, ablation = options.execution, options.ablation
     compliance = execution.compliance if execution.compliant else None
     try:
-        executor = Executor(world, program, workcell.sizes, compliance, physics.record_every)
+        executor = Executor(world, program, workcell.sizes, compliance, physics.record_every, options.seed)
         executive = Executive(workcell, plan, program, executor, options.feed, execution, ablation, progress)
         ended = executive.run()
         executor.settle()

@@ -26,6 +26,7 @@ from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.store import kept_plan
 from soma_bullet.records import package_versions
 from soma_bullet.robot.cell import load_cell
+from soma_bullet.seeds import derived
 from soma_bullet.task.feed import draw_feed
 from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.program import motions
@@ -89,7 +90,7 @@ def queries_of(name: str, workcell: Workcell, seed: int, options: FeedOptions) -
         line = following.offset if following is not None and following.kind.way == "line" else None
         widths = widths_along(context, segment)
         label = f"{name}, seed {seed}: {segment.kind} {segment.piece} {cell.arms[segment.arm].name}"
-        queries.append(Query(label, seed + 1000 * (k + 1), context, segment, line, widths))
+        queries.append(Query(label, derived(seed, "motion", k + 1), context, segment, line, widths))
     return queries
 
 

@@ -57,6 +57,7 @@ class Executor:
         sizes: of the workpieces.
         compliance: how guarded motions yield; None for motions that stop at the first touch.
         record_every: samples of a trajectory between samples of the log.
+        seed: of the execution; that of the program by default.
     """
 
     def __init__(
@@ -66,8 +67,10 @@ class Executor:
         sizes: Sizes,
         compliance: Compliance | None = None,
         record_every: int = 5,
+        seed: int | None = None,
     ):
         self.world, self.program, self.sizes, self.record_every = world, program, sizes, record_every
+        self.seed = program.seed if seed is None else seed
         self.recorder, self._samples = Recorder(), 0
         self._running: dict[int, tuple[Segment, Generator[None, None, Observation]]] = {}
         self._ended: list[tuple[Segment, Observation]] = []
@@ -226,7 +229,7 @@ class Executor:
             cell=world.cell.name,
             assembly=program.assembly,
             digest=program.digest,
-            seed=program.seed,
+            seed=self.seed,
             order=program.order,
             stand=program.stand,
             T_world_assembly=program.T_world_assembly,

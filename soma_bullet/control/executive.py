@@ -23,6 +23,7 @@ from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import readonly
 from soma_bullet.grasp.clearance import OPENING
 from soma_bullet.planner.assembly_plan import AssemblyPlan
+from soma_bullet.seeds import derived
 from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.kinds import GRASP, PLACE, RETREAT, SETTLE, as_planned
 from soma_bullet.task.program.make import recover_program, replan
@@ -73,7 +74,7 @@ class Executive:
         self.recover = options.recover and not ablate
         self.state = beginning(workcell, program.feed, program.start)
         self.perception = Perception(
-            executor.world, workcell.assembly, program.feed, feed, program.seed, executor.note_event
+            executor.world, workcell.assembly, program.feed, feed, executor.seed, executor.note_event
         )
         self.placement = Placement(workcell, executor, self.perception, self.recover)
         self.recovery = Recovery(workcell, plan, executor, self.perception)
@@ -97,7 +98,7 @@ class Executive:
             again += 1
             try:
                 self.state = self.recovery.found(program, self.state, trouble)
-                seed, feed = self.program.seed + 101 * again, self.program.feed
+                seed, feed = derived(self.executor.seed, "recovery", again), self.program.feed
                 program = recover_program(self.workcell, self.plan, self.state, seed, feed.noise, feed.square)
                 program = overlapped(self.workcell, program) if self.together else program
             except NoSolutionError as error:

@@ -44,10 +44,10 @@ class Perception:
         """Perceived T_world_piece (4, 4) of every piece, so many times."""
         poses, names = self.world.piece_poses(), self.feed.names
         there = replace(self.feed, poses=readonly(np.array([poses[name] for name in names])))
-        seeds = [self.seed + 7919 * (self.count + k) for k in range(1, times + 1)]
+        numbers = range(self.count, self.count + times)
         self.count += times
         self.event("looked", "", f"{times} times" if times > 1 else "")
-        looks = [misplace(self.assembly, there, self.options, seed) for seed in seeds]
+        looks = [misplace(self.assembly, there, self.options, self.seed, number) for number in numbers]
         return [{name: seen.pose(name) for name in names} for seen in looks]
 
     def look(self) -> dict[str, Array]:

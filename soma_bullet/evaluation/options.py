@@ -11,7 +11,7 @@ from soma_bullet.options import EpisodeOptions
 from soma_bullet.task.feed_options import FeedOptions
 
 if TYPE_CHECKING:
-    import numpy as np
+    pass
 
 VARIED = ("friction", "mass", "perception", "feed")
 SPREAD_OF = {"friction": ("friction",), "mass": ("mass",), "perception": ("mm", "deg", "errors", "square")}
@@ -98,18 +98,14 @@ class EvaluationOptions(Options):
 
 def draw(seed: int, options: EvaluationOptions) -> dict[str, float]:
     """The factors of one episode; each depends on the seed alone, whatever else varies."""
-    drawn = {}
-    for key, name in enumerate(("friction", "mass"), 1):
+    drawn: dict[str, float] = {}
+    from soma_bullet.seeds import stream
+
+    for name in ("friction", "mass"):
         if name in options.vary:
             spread = getattr(options.spread, name)
-            drawn[name] = round(float(_stream(seed, key).uniform(1.0 - spread, 1.0 + spread)), 6)
+            drawn[name] = round(float(stream(seed, name).uniform(1.0 - spread, 1.0 + spread)), 6)
     return drawn
-
-
-def _stream(seed: int, key: int) -> np.random.Generator:
-    import numpy as np
-
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(key,)))
 
 
 def episode_options(seed: int, options: EvaluationOptions) -> EpisodeOptions:

@@ -93,7 +93,7 @@ def _rrt_connect(
 
     n = len(start)
     ou.noOutputHandler()
-    ou.RNG.setSeed(options.seed + 1)  # zero would mean "any"
+    ou.RNG.setSeed(max(options.seed, 1))  # zero would mean "any"
     space = ob.RealVectorStateSpace(n)
     bounds = ob.RealVectorBounds(n)
     low = np.maximum(np.vstack([goals, start]).min(axis=0) - ROOM, lower)

@@ -22,9 +22,10 @@ from soma_bullet.pictures.camera import CAMERAS, Frame, PieceVisual
 from soma_bullet.pictures.caption import Caption, holds, narration
 from soma_bullet.pictures.crew import Crew, Shot, Stage
 from soma_bullet.pictures.options import FilmOptions
-from soma_bullet.pictures.shots import HOLD, direct, portrait
+from soma_bullet.pictures.shots import direct, portrait
 from soma_bullet.pictures.sight import Sight
 from soma_bullet.pictures.video import check_format, write_video
+from soma_bullet.pictures.views import HOLD
 from soma_bullet.robot.compose import compose_urdf
 from soma_bullet.robot.model import Cell
 from soma_bullet.world.log import ExecutionLog

@@ -16,17 +16,13 @@ import numpy as np
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, apply, tangents
 from soma_bullet.pictures.camera import Arrow, Camera
-from soma_bullet.pictures.caption import Phase, holds, phases
+from soma_bullet.pictures.caption import Phase, phases
 from soma_bullet.pictures.sight import Sight
+from soma_bullet.pictures.views import PORTRAIT, View, framed, hand, is_there, sample, surface, views
 from soma_bullet.world.log import ExecutionLog
 
 YAWS, PITCHES = tuple(range(-75, 76, 15)), (-14.0, -21.0, -28.0, -36.0, -46.0)  # [deg]
-Frame = tuple[tuple[float, float], tuple[float, float]]
-FRAME: Frame = (
-    (-0.80, 0.80),
-    (-0.66, 0.82),
-)  # of the picture, right and up: what matters stays inside; the caption is below
-PORTRAIT: Frame = ((-0.97, 0.97), (-0.97, 0.93))  # the same for a picture without words
+
 NEAREST = {"pick": 0.95, "insert": 0.46, "end": 0.44}  # [m]
 LIKED = {
     "pick": (30.0, -27.0),
@@ -36,151 +32,11 @@ LIKED = {
 ZOOM_RATE = 0.9  # change of the distance's logarithm a second
 TURN_RATE = 20.0  # [deg/s] of yaw
 TURN_COST = 0.006  # of one degree, in fractions of what is seen
-HAND = 0.11  # [m] from the fingertips to the wrist, which is to be in the picture
 DRIFT = 8.0  # [deg] of yaw during the last hold
-HOLD = 2.0  # [s] that the finished assembly is shown at the end
 ARROW_LENGTH = (0.05, 0.08)  # [m]
 ASIDE = 0.034  # [m] from the path of the piece's centre to the arrow beside it
 SEEN = 4e-3  # [m] a ray that ends nearer to its point has seen it
 BLOCKED_COST = 2.5  # of a picture whose middle is full of what is before the action
-
-
-@dataclass(frozen=True)
-class View:
-    """Where the camera is to be from `start` to `end` [s of the film].
-
-    Attributes:
-        times: of the simulation [s], at which the view is to show much.
-        subjects: points (n, 3) [m] that stay in the picture.
-        pieces: whose surfaces are to be seen.
-        direction: of an arrow that is to be seen from its side (3,), or zero.
-    """
-
-    kind: str
-    start: float
-    end: float
-    times: tuple[float, ...]
-    subjects: Array
-    pieces: tuple[str, ...]
-    direction: Array
-
-
-def framed(
-    points: Array,
-    yaw: float,
-    pitch: float,
-    nearest: float,
-    aspect: float,
-    fov: float = 42.0,
-    frame: Frame = FRAME,
-) -> Camera:
-    """The nearest camera of these angles that has all points (n, 3) within the frame, and not nearer than
-    `nearest` [m]."""
-    axes = Camera((0.0, 0.0, 0.0), 1.0, yaw, pitch, fov).axes
-    local = points @ axes
-    half = np.tan(np.deg2rad(fov) / 2) * np.array((aspect, 1.0))
-    low, high = np.array(frame).T * half
-
-    def slack(distance: float) -> tuple[Array, Array]:
-        depth = (distance - local[:, 2:]).clip(
-            1e-3
-        )  # of the points before a camera this far from the origin's plane
-        return (local[:, :2] - high * depth).max(axis=0), (local[:, :2] - low * depth).min(axis=0)
-
-    near, far = float(local[:, 2].max()) + 0.05, float(local[:, 2].max()) + 10.0
-    for _ in range(40):
-        middle = (near + far) / 2
-        left, right = slack(middle)
-        near, far = (near, middle) if (left <= right).all() else (middle, far)
-    centre = float(local[:, 2].mean())
-    plane = max(far, centre + nearest)
-    left, right = slack(plane)
-    target = axes @ np.array((*((left + right) / 2), centre))
-    return Camera(tuple(target.tolist()), plane - centre, yaw, pitch, fov)
-
-
-def views(log: ExecutionLog, assembly: Assembly, speed: float) -> list[View]:
-    """What the film is to show, in order: every pick, every insertion, and the end, which stays for HOLD."""
-    found = []
-    for phase in phases(log):
-        if phase.kind == "pick" and any(s.kind == "grasp" for s in phase.segments):
-            grasp = next(s for s in phase.segments if s.kind == "grasp")
-            found.append(_view("pick", log, assembly, phase, (grasp.start, grasp.end), speed))
-        elif phase.kind == "insert":
-            slow = next((s for s in phase.segments if s.kind == "place"), phase.segments[0])
-            found.append(_view("insert", log, assembly, phase, (slow.start, phase.end), speed))
-    found = _one_at_a_time(found)
-    last = float(log.times[-1])
-    built = [name for name in assembly.names if _is_there(log, assembly, name, last)]
-    surfaces = [_surface(log, assembly, last, name) for name in built] or [
-        _goal(log, assembly, n) for n in assembly.names
-    ]
-    points = np.concatenate(surfaces)
-    home = max((p.start for p in phases(log) if p.kind == "final"), default=last)
-    times = (
-        *np.linspace(max(home - 2.0, 0.0), home, 4).tolist(),
-        last,
-    )  # the arms leave the picture without crossing it
-    points = np.concatenate((points, points * (1, 1, 0.82)))  # the foot of the stand is worth seeing as well
-    return [
-        *found,
-        View("end", home / speed, last / speed + HOLD, times, points, assembly.names, np.zeros(3)),
-    ]
-
-
-def _one_at_a_time(found: list[View]) -> list[View]:
-    """Views that do not overlap: insertions first, then picks."""
-    kept: list[View] = []
-    for view in sorted(found, key=lambda v: (v.kind != "insert", v.start)):
-        if all(view.end <= other.start or other.end <= view.start for other in kept):
-            kept.append(view)
-    return sorted(kept, key=lambda v: v.start)
-
-
-def _view(
-    kind: str, log: ExecutionLog, assembly: Assembly, phase: Phase, span: tuple[float, float], speed: float
-) -> View:
-    subjects = [_goal(log, assembly, phase.piece)]
-    arms = {phase.arm} | ({arm for arm, _ in holds(log, span[0])} if kind == "insert" else set())
-    begin = span[0] if kind == "pick" else phase.start
-    for time in (begin, span[1]):
-        subjects += [_hand(log, time, arm) for arm in sorted(arms)]
-        subjects.append(_surface(log, assembly, time, phase.piece))
-    times = (*span, phase.end) if kind == "pick" else (phase.start, (phase.start + span[0]) / 2, *span)
-    direction = phase.direction if kind == "insert" else np.zeros(3)
-    return View(
-        kind, span[0] / speed, span[1] / speed, times, np.concatenate(subjects), (phase.piece,), direction
-    )
-
-
-def _sample(log: ExecutionLog, time: float) -> int:
-    return int(np.searchsorted(log.times, time).clip(0, len(log.times) - 1))
-
-
-def _hand(log: ExecutionLog, time: float, arm: str) -> Array:
-    T_world_tcp = log.tcp_pose(_sample(log, time), arm)
-    return np.stack((T_world_tcp[:3, 3], apply(T_world_tcp, (0.0, 0.0, -HAND))))
-
-
-def _goal(log: ExecutionLog, assembly: Assembly, name: str) -> Array:
-    k = assembly.index(name)
-    return apply(log.T_world_assembly @ assembly.goals[k], assembly.pieces[k].vertices)
-
-
-def _surface(log: ExecutionLog, assembly: Assembly, time: float, name: str) -> Array:
-    """Points on a piece (n, 3) in the world: its vertices, a little inside, and the middles of its
-    triangles."""
-    piece = assembly.pieces[assembly.index(name)]
-    corners = 0.97 * piece.vertices + 0.03 * piece.vertices.mean(axis=0)
-    points = np.concatenate((corners, piece.vertices[piece.faces].mean(axis=1)))
-    return apply(log.piece_pose(_sample(log, time), name), points)
-
-
-def _is_there(log: ExecutionLog, assembly: Assembly, name: str, time: float) -> bool:
-    """Whether a piece is anywhere near its goal: what fell off is not to draw the camera away."""
-    end = log.piece_pose(_sample(log, time), name)[:3, 3]
-    goal = (log.T_world_assembly @ assembly.goals[assembly.index(name)])[:3, 3]
-    return float(np.linalg.norm(end - goal)) < 0.05
 
 
 @dataclass(frozen=True)
@@ -286,15 +142,13 @@ def _values(
     total = np.zeros(len(cameras))
     for time in view.times:
         _place(sight, log, time)
-        surface = np.concatenate([_surface(log, assembly, time, name) for name in view.pieces])
-        total += _seen(sight, cameras, surface) - BLOCKED_COST * _blocked(sight, cameras, aspect)
-        built = [
-            _surface(log, assembly, time, n) for n in assembly.names if _is_there(log, assembly, n, time)
-        ]
+        shown = np.concatenate([surface(log, assembly, time, name) for name in view.pieces])
+        total += _seen(sight, cameras, shown) - BLOCKED_COST * _blocked(sight, cameras, aspect)
+        built = [surface(log, assembly, time, n) for n in assembly.names if is_there(log, assembly, n, time)]
         if view.kind == "pick" and built:
             total += 0.5 * _seen(sight, cameras, np.concatenate(built))
         if view.kind == "insert":
-            tips = np.concatenate([_hand(log, time, arm)[:1] for arm in log.arm_names])
+            tips = np.concatenate([hand(log, time, arm)[:1] for arm in log.arm_names])
             total += 0.15 * _seen(sight, cameras, tips, 0.03)
     total /= len(view.times)
     yaw, pitch = LIKED[view.kind]
@@ -305,9 +159,9 @@ def _values(
 
 
 def _place(sight: Sight, log: ExecutionLog, time: float) -> None:
-    sample = _sample(log, time)
-    joints = dict(zip(log.joint_names, log.joints[sample].tolist(), strict=True))
-    sight.place(joints, {name: log.piece_pose(sample, name) for name in log.piece_names})
+    at = sample(log, time)
+    joints = dict(zip(log.joint_names, log.joints[at].tolist(), strict=True))
+    sight.place(joints, {name: log.piece_pose(at, name) for name in log.piece_names})
 
 
 def _seen(sight: Sight, cameras: Sequence[Camera], points: Array, within: float = SEEN) -> Array:
@@ -336,13 +190,13 @@ def portrait(log: ExecutionLog, assembly: Assembly, sight: Sight, aspect: float)
     """The camera of the still: the assembly between the two arms, from where most of it is seen."""
     end = float(log.times[-1])
     _place(sight, log, end)
-    surface = np.concatenate([_surface(log, assembly, end, name) for name in assembly.names])
+    shown = np.concatenate([surface(log, assembly, end, name) for name in assembly.names])
     cameras = [
         framed(sight.robot(), yaw, -15.0, 1.0, aspect, 24.0, PORTRAIT)
         for yaw in (-60, -45, -30, -15, 15, 30, 45, 60)
     ]
     away = np.abs(np.abs([camera.yaw for camera in cameras]) - 30.0)
-    return cameras[int((_seen(sight, cameras, surface) - 0.002 * away).argmax())]
+    return cameras[int((_seen(sight, cameras, shown) - 0.002 * away).argmax())]
 
 
 # --- moving -------------------------------------------------------------------------------------------------

@@ -33,6 +33,7 @@ class EpisodeReport:
             other, without ways home that can be spared; `as scheduled`: what they take when nothing moves at
             the same time (no_together).
         events: what the executive noticed and decided on the way.
+        notes: what a reader of these numbers must know.
         wall_s: wall time of each stage.
         video: its file and renderer, or why there is none.
         versions: packages that the numbers depend on.
@@ -55,6 +56,7 @@ class EpisodeReport:
     makespan_s: float
     planned_s: dict[str, float]
     events: tuple[Event, ...]
+    notes: tuple[str, ...]
     wall_s: dict[str, float]
     video: dict[str, str]
     versions: dict[str, str]
@@ -104,6 +106,8 @@ def print_report(report: EpisodeReport, console: Console) -> None:
     for event in report.events:
         if event.kind != "looked":
             console.print(f"{event.time:7.1f} s   {event.kind}: {event.piece} {event.text}", markup=False)
+    for note in report.notes:
+        console.print(f"[yellow]note[/]: {escape(note)}")
     if report.success:
         console.print(
             "[bold green]success[/]: every piece is in place, nothing was dropped, nothing forbidden was "

@@ -84,7 +84,7 @@ class CollisionModel:
     def _arm_of(self, body: str) -> int | None:
         if body in ("table", "stand") or body in self.piece_shapes:
             return None
-        return next(k for k, arm in enumerate(self.robot.cell.arms) if body.startswith(f"{arm.name}_"))
+        return self.robot.arm_of_link[body]
 
     def _robot_pairs(self) -> list[tuple[int, int]]:
         """Pairs of robot, table and stand shapes that can collide at all."""
@@ -212,9 +212,7 @@ class Scene:
         for piece, arm in self.situation.gripped.items():
             if piece in names:
                 other = next(iter(names - {piece}), piece)
-                if other in self.collision_model.hand_links and other.startswith(
-                    self.robot.arm(arm).name + "_"
-                ):
+                if other in self.collision_model.hand_links and self.robot.arm_of_link[other] == arm:
                     return None
         if names in self.situation.touching:
             return TOUCH_MARGIN

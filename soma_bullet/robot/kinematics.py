@@ -38,6 +38,17 @@ class Robot:
         self._tcp_frames = [self.model.getFrameId(arm.tcp_link) for arm in cell.arms]
         self._solvers = [self._solver(k) for k in range(len(cell.arms))]
 
+    @cached_property
+    def arm_of_link(self) -> dict[str, int]:
+        """The arm to which each link of an arm, or of its hand, belongs: all that hangs on its base link."""
+        frames = self.model.frames
+        bases = {arm.prefixed(arm.model.base_link): k for k, arm in enumerate(self.cell.arms)}
+        found: dict[int, int | None] = {0: None}
+        for k, frame in enumerate(frames):  # parents come first
+            if k:
+                found[k] = bases.get(frame.name, found[int(frame.parentFrame)])
+        return {frames[k].name: arm for k, arm in found.items() if arm is not None}
+
     def _slot(self, joint: str) -> int:
         return int(self.model.joints[self.model.getJointId(joint)].idx_q)
 

@@ -18,6 +18,7 @@ from soma_bullet.grasp.hand import Hand
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.tables import grasp_poses
 from soma_bullet.robot.model import Cell
+from soma_bullet.seeds import stream
 from soma_bullet.sizes import Sizes
 from soma_bullet.task.feed_options import SIGMAS, FeedOptions
 
@@ -109,7 +110,7 @@ def draw_feed(
     hand = cell.arms[0].hand
     if options.layout == "rows":
         return _rows(assembly, plan, cell, seed, options)
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0xFEED,)))
+    rng = stream(seed, "feed")
     areas = cell.feed_areas
     sizes = np.prod(areas[:, :, 1] - areas[:, :, 0], axis=1)
     outlines: list[shapely.Geometry] = []
@@ -158,12 +159,18 @@ def _rows(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int, options
     return Feed(assembly.names, placed, 0, needed, seed, options.noise, options.square)
 
 
-def misplace(assembly: Assembly, feed: Feed, options: FeedOptions, seed: int) -> Feed:
-    """Where the pieces really lie when `feed` is what was perceived: each turned about its centre of mass and
-    shifted."""
+def misplace(
+    assembly: Assembly, feed: Feed, options: FeedOptions, seed: int, look: int | None = None
+) -> Feed:
+    """Where the pieces really lie when `feed` is what was perceived, or the other way round: each turned
+    about its centre of mass and shifted.
+
+    Args:
+        look: number of a later look, which errs anew; None for the first.
+    """
     if options.noise_mm == 0.0 and options.noise_deg == 0.0:
         return feed
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0x0FF,)))
+    rng = stream(seed, "errors") if look is None else stream(seed, "look", look)
     draw = _uniform if options.errors == "uniform" else _normal
     poses = np.array(feed.poses)
     for piece, pose in zip(assembly.pieces, poses, strict=True):

@@ -10,8 +10,8 @@ from typing import Any
 
 from soma_bullet.task.memo import Memo
 
-LINES = 80_000  # of hands made or checked, about 60 s on two cores
-SCENES = 2_000  # of collision checks, about 0.4 GB
+LINES = 60_000  # of hands made or checked, about 60 s on two cores
+SCENES = 120  # for collision checks, of 2 to 5 MB each
 
 
 class TooManyLines(Exception):

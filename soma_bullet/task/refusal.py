@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from soma_bullet.errors import NoSolutionError
 
 TOLD = 4  # reasons of the step at which a search ended
+MEASURED = 8  # times that the distance of a pair is measured
 
 
 @dataclass(frozen=True)
@@ -40,9 +41,10 @@ class Evidence:
     """A refusal that was met at the step to which the search came.
 
     Attributes:
-        count: how often there; arm, grasp: of the first time, where they are known.
-        distance: between the two bodies the first time, negative where they overlap, and what had to be kept
-            [m]; None where nothing collided.
+        count: how often there.
+        arm, grasp: of the time when least was missing, among the first few; where they are known.
+        distance: between the two bodies then, negative where they overlap, and what had to be kept [m]; None
+            where nothing collided.
     """
 
     count: int
@@ -85,10 +87,12 @@ class Refusals:
         """Count one; `distance` is asked for once where it matters."""
         self.counts[refusal] += count
         if count and self.step == self.deepest and self.order == self.deepest_order:
-            known = self.there.get(refusal)
-            if known is None:
-                known = Evidence(0, arm, grasp, distance() if distance is not None else None)
-            self.there[refusal] = Evidence(known.count + count, known.arm, known.grasp, known.distance)
+            known = self.there.get(refusal, Evidence(0))
+            found = Evidence(known.count, arm, grasp)
+            if distance is not None and known.count < MEASURED:
+                found = replace(found, distance=distance())
+            nearest = max(known, found, key=_how_near) if known.count else found
+            self.there[refusal] = replace(nearest, count=known.count + count)
         return refusal
 
     def sentences(self) -> Counter[str]:
@@ -103,12 +107,21 @@ class Refusals:
         piece = order[self.deepest] if self.deepest < len(order) else ""
         of = f" of {' <- '.join(order)}" if order else ""
         lines = [f"the search came to step {self.deepest + 1}{of}, {piece}, and no further:"]
-        ranked = sorted(self.there.items(), key=lambda item: -item[1].count)[:TOLD]
+        own = {r: e for r, e in self.there.items() if r.piece == piece} or self.there
+        ranked = sorted(own.items(), key=lambda item: -item[1].count)[:TOLD]
         return (*lines, *(f"  {e.count} x {r}{_by_how_much(e)}" for r, e in ranked))
 
     def error(self, stage: str, summary: str) -> NoSolutionError:
         """The error that says all this."""
         return NoSolutionError(stage, summary, self.sentences(), self.decided())
+
+
+def _how_near(evidence: Evidence) -> float:
+    """How little was missing."""
+    if evidence.distance is None:
+        return float("-inf")
+    apart, wanted = evidence.distance
+    return apart - wanted
 
 
 def _by_how_much(evidence: Evidence) -> str:

@@ -302,7 +302,7 @@ def test_a_gripped_piece_slips_when_pulled_with_twice_mu_f(
         grip(world)
         p.setGravity(0, 0, -GRAVITY, physicsClientId=world.client)
         run(world, 0.1)
-        start = inverse(world.tcp_poses()[0]) @ world.piece_poses()["block"]
+        start = inverse(world.tcp_pose(0)) @ world.piece_poses()["block"]
         for force in np.arange(0.0, 3 * mu * GRIP, 0.05):
             place = world.piece_poses()["block"][:3, 3].tolist()
             body = world.pieces["block"]
@@ -310,7 +310,7 @@ def test_a_gripped_piece_slips_when_pulled_with_twice_mu_f(
                 body, -1, (pull * force).tolist(), place, p.WORLD_FRAME, physicsClientId=world.client
             )
             world.step()
-            now = inverse(world.tcp_poses()[0]) @ world.piece_poses()["block"]
+            now = inverse(world.tcp_pose(0)) @ world.piece_poses()["block"]
             if np.linalg.norm(now[:3, 3] - start[:3, 3]) > 5e-4:
                 break
     needed = np.linalg.norm(pull * force - (0.0, 0.0, GRAVITY * block.mass))
@@ -527,7 +527,7 @@ def test_contacts_point_along_the_closing_axis_after_the_hand_has_turned(cell: C
 
         def alignment() -> float:
             rows = p.getContactPoints(world.robots[0], world.pieces["block"], physicsClientId=world.client)
-            return min(abs(float(np.dot(row[7], world.tcp_poses()[0][:3, 0]))) for row in rows)
+            return min(abs(float(np.dot(row[7], world.tcp_pose(0)[:3, 0]))) for row in rows)
 
         q = np.array(cell.arms[0].q_home)
         for _ in range(240):

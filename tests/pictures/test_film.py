@@ -20,8 +20,8 @@ from soma_bullet.pictures.caption import holds, narration, phases, says, vector
 from soma_bullet.pictures.crew import Crew, Shot
 from soma_bullet.pictures.film import _interpolated, _stage, film, frame_times, still, storyboard
 from soma_bullet.pictures.options import FilmOptions
-from soma_bullet.pictures.shots import HOLD, framed
 from soma_bullet.pictures.studio import Studio
+from soma_bullet.pictures.views import HOLD, framed
 from soma_bullet.records import write_npz
 from soma_bullet.robot.cell import load_cell
 from soma_bullet.robot.model import Cell

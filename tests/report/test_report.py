@@ -57,6 +57,7 @@ def report() -> EpisodeReport:
         makespan_s=29.3,
         planned_s={"together": 28.0, "one at a time": 40.0, "as scheduled": 50.0},
         events=(Event(4.5, "trouble", "Z", "Z lost in grasp"),),
+        notes=("the program was made with seed 3",),
         wall_s={"plan": 0.4, "execution": 7.0},
         video={"file": "", "renderer": "", "note": ""},
         versions=package_versions(),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, is_dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -85,6 +85,21 @@ class Action:
 
 
 register_family(Action, Action.family)
+
+
+def alike(one: Action, other: Action) -> bool:
+    """Whether two actions do the same, joint by joint."""
+    return _equal(one, other)
+
+
+def _equal(one: object, other: object) -> bool:
+    if one is other:
+        return True
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        return bool(np.array_equal(one, other))
+    if type(one) is type(other) and is_dataclass(one):
+        return all(_equal(a, b) for a, b in zip(vars(one).values(), vars(other).values(), strict=True))
+    return bool(one == other)
 
 
 def tool_axis(cell: Workcell, arm: int, q: Array) -> Array:

@@ -3,8 +3,8 @@ command, with guards."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 
 import numpy as np
@@ -14,12 +14,14 @@ from soma_bullet.motion.line import LineError
 from soma_bullet.motion.timing import TimingError
 from soma_bullet.motion.transfer import TransferError
 from soma_bullet.robot.collision import Scene
-from soma_bullet.task.actions.action import Action, Step, Steps
+from soma_bullet.seeds import derived
+from soma_bullet.task.actions.action import Action, Step, Steps, alike
 from soma_bullet.task.actions.go_home import GoHome
 from soma_bullet.task.actions.hand_over import HandOver
 from soma_bullet.task.actions.release import Release, leave
 from soma_bullet.task.feed import Feed
 from soma_bullet.task.kinds import HOME, LIFT, RETREAT, Kind, as_planned
+from soma_bullet.task.limits import Effort
 from soma_bullet.task.program.motions import plan_motion, scene_of, straight_motion, widths_to
 from soma_bullet.task.program.program import Moment, beginning
 from soma_bullet.task.schedule import Assignment, Schedule
@@ -27,6 +29,7 @@ from soma_bullet.task.segment import NO_PATH, SMALLEST_JUMP, UP, Segment
 from soma_bullet.task.state import CellState
 from soma_bullet.task.workcell import Workcell
 
+WORTH = 10  # lines of hands that take about as long as a motion
 DAMPING = 0.01  # of the inverse Jacobian: near a singularity a hand gives way less, and no joint moves far
 
 
@@ -38,8 +41,27 @@ class MotionError(Exception):
         self.reason, self.assignment, self.action = reason, assignment, action
 
 
+@dataclass(frozen=True, eq=False)
+class Made:
+    """An action, its segments with the states around them, and how many motions there were until then."""
+
+    action: Action
+    moments: tuple[Moment, ...]
+    count: int
+
+
 class ProgramBuilder:
-    """Makes the segments of one schedule; raises MotionError at the first motion that cannot be made."""
+    """Makes the segments of one schedule; raises MotionError at the first motion that cannot be made.
+
+    Args:
+        seed: of the motions; start: a state as found, to go on from.
+        earlier: what was made of an earlier schedule from the beginning: as far as the actions are the same,
+            their segments are taken over.
+        effort: is told of every motion that is made.
+
+    Attributes:
+        made: action by action, from the beginning.
+    """
 
     def __init__(
         self,
@@ -48,9 +70,13 @@ class ProgramBuilder:
         schedule: Schedule,
         seed: int,
         start: CellState | None = None,
+        earlier: Sequence[Made] = (),
+        effort: Effort | None = None,
     ):
         self.workcell, self.schedule, self.seed, self.start = workcell, schedule, seed, start
-        self.count = 0
+        self.count, self.effort = 0, effort or Effort()
+        self.made: list[Made] = []
+        self._earlier = list(earlier) if start is None else []
         self.state = self.beginning = beginning(workcell, feed, start)
         self.step: int | None = None
 
@@ -65,9 +91,9 @@ class ProgramBuilder:
             self.step = a.step
             for n, action in enumerate(a.actions):
                 try:
-                    yield from self._perform(action)
+                    yield from self.perform(action)
                     for arm, piece in self._idle_after(a, n, following):
-                        yield from self._perform(GoHome(arm, piece))
+                        yield from self.perform(GoHome(arm, piece))
                 except MotionError as error:
                     raise MotionError(error.reason, a, action) from None
 
@@ -84,9 +110,23 @@ class ProgramBuilder:
         idle = [r for r in a.releases if r.arm not in self.state.gripped and r.arm != first]
         return [(release.arm, release.piece) for release in idle]
 
-    def _perform(self, action: Action) -> Iterator[Moment]:
-        """The segments of an action."""
-        yield from self._follow(action.steps(self.workcell, self.state))
+    def perform(self, action: Action) -> Iterator[Moment]:
+        """The segments of an action, from the state after those before. Raises MotionError."""
+        n = len(self.made)
+        if n < len(self._earlier) and alike(self._earlier[n].action, action):
+            known = self._earlier[n]
+            self.made.append(known)
+            self.count = known.count
+            for moment in known.moments:
+                self.state = moment[2]
+                yield moment
+            return
+        self._earlier = []  # what follows starts from elsewhere
+        moments: list[Moment] = []
+        for moment in self._follow(action.steps(self.workcell, self.state)):
+            moments.append(moment)
+            yield moment
+        self.made.append(Made(action, tuple(moments), self.count))
 
     def _follow(self, steps: Steps) -> Iterator[Moment]:
         try:
@@ -105,7 +145,7 @@ class ProgramBuilder:
         for arm in start.free:
             yield from self._clear_away(arm)
         for action in self.schedule.changes:
-            yield from self._perform(action)
+            yield from self.perform(action)
         for action in self.schedule.changes:
             if isinstance(action, Release):
                 yield from self._clear_away(action.arm)
@@ -169,6 +209,7 @@ class ProgramBuilder:
         if kind.way == "wait":
             path = NO_PATH
         else:
+            self.effort.lines += WORTH
             path = readonly(self._around(step, before) if kind.around else self._line(step, before, loose))
         segment = Segment(
             kind,
@@ -192,7 +233,7 @@ class ProgramBuilder:
         kind, arm, piece = step.kind, step.arm, step.piece
         assert step.q_end is not None
         widths, scene = widths_to(before, arm, step.opening), self._scene(before, kind, arm, piece)
-        start, seed = before.qs[arm], self.seed + 1000 * self.count
+        start, seed = before.qs[arm], derived(self.seed, "motion", self.count)
         try:
             return plan_motion(self.workcell, scene, before, arm, start, step.q_end, widths, seed)
         except TransferError as error:

@@ -17,8 +17,9 @@ from soma_bullet.motion.line import LineError
 from soma_bullet.motion.timing import TimingError
 from soma_bullet.motion.transfer import TransferError
 from soma_bullet.planner.assembly_plan import AssemblyPlan
+from soma_bullet.seeds import derived
 from soma_bullet.task.feed import Feed
-from soma_bullet.task.program.builder import MotionError, ProgramBuilder, guarded
+from soma_bullet.task.program.builder import Made, MotionError, ProgramBuilder, guarded
 from soma_bullet.task.program.motions import plan_motion, scene_for, straight_motion, widths_along
 from soma_bullet.task.program.program import Program, moments, one_at_a_time
 from soma_bullet.task.refusal import Refusal
@@ -50,11 +51,14 @@ def make_program(
         NoSolutionError: with what decided, and what blocked, most frequent first.
     """
     scheduler = scheduler or Scheduler(workcell, plan, feed, start)
+    earlier: Sequence[Made] = ()
     while True:
         schedule = scheduler.find()
+        builder = ProgramBuilder(workcell, feed, schedule, seed, start, earlier, scheduler.effort)
         try:
-            made = tuple(ProgramBuilder(workcell, feed, schedule, seed, start).run())
+            made = tuple(builder.run())
         except MotionError as error:
+            earlier = builder.made
             if error.assignment is None or error.action is None:
                 raise scheduler.refusals.error("motion", error.reason) from None
             scheduler.rule_out(error.assignment, error.action)
@@ -117,7 +121,7 @@ def replan(workcell: Workcell, program: Program, index: int, qs: Sequence[Array]
             path = straight_motion(workcell, scene, before, segment.arm, start, segment.offset, segment.kind)
         else:
             widths = widths_along(before, segment)
-            goal, seed = segment.path[-1], program.seed + index
+            goal, seed = segment.path[-1], derived(program.seed, "again", index)
             path = plan_motion(workcell, scene, before, segment.arm, start, goal, widths, seed)
     except (LineError, TransferError, TimingError) as error:
         reason = f"{segment.piece}: {segment.kind} cannot be made from the measured joints: {error}"

@@ -12,6 +12,7 @@ from soma_bullet.motion.line import sample_line
 from soma_bullet.motion.timing import HandLimits, TimingError, time_path
 from soma_bullet.motion.transfer import TransferOptions, blend_corners, plan_transfer
 from soma_bullet.robot.collision import Scene
+from soma_bullet.seeds import derived
 from soma_bullet.task.kinds import PLACE, Kind
 from soma_bullet.task.posture import CARRYING
 from soma_bullet.task.segment import DT, Segment
@@ -68,7 +69,7 @@ def plan_motion(
     hits = collisions(workcell, scene, state, arm, widths)
     collides = hits if forbidden is None else lambda q: hits(q) or forbidden(q)
     for attempt, step in enumerate(EDGE_STEPS):
-        options = TransferOptions(checks, seed + 7919 * attempt, step)
+        options = TransferOptions(checks, derived(seed, "attempt", attempt), step)
         waypoints = plan_transfer(start, np.array([goal]), limits.lower, limits.upper, collides, options)
         dense = blend_corners(waypoints, collides)
         samples = time_path(dense, gentle * limits.velocity, gentle * limits.acceleration, DT)

@@ -81,7 +81,7 @@ class Placer:
         leaving = sweep_hand(cell.hand(0), Ts, widths)
         for arm, piece in state.held.items():
             T_piece_tcp = inverse(cell.settled[piece]) @ planning.robot.tcp(arm, state.qs[arm])
-            holder = hand_hulls(cell.hand(arm), cell.goals[piece] @ T_piece_tcp, 0.03)  # GOLDEN
+            holder = hand_hulls(cell.hand(arm), cell.goals[piece] @ T_piece_tcp, float(state.openings[arm]))
             clear &= (sweep.separation(holder) > MARGIN) & (leaving.separation(holder) > MARGIN)
         return clear
 

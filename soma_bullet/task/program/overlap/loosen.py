@@ -23,6 +23,7 @@ from soma_bullet.frames import readonly
 from soma_bullet.motion.timing import TimingError, time_path
 from soma_bullet.motion.transfer import TransferError
 from soma_bullet.robot.silhouette import Obstacle, Silhouette, distance
+from soma_bullet.seeds import derived
 from soma_bullet.task.kinds import HOME, TRANSIT, as_planned
 from soma_bullet.task.posture import CARRYING
 from soma_bullet.task.program.motions import (
@@ -115,7 +116,7 @@ def _onwards(encounters: Encounters, program: Program, k: int) -> list[Segment]:
             segments[k].path[0],
             transit.path[-1],
             widths_along(before, transit),
-            program.seed + 17 * k,
+            derived(program.seed, "onwards", k),
         )
     except (TransferError, TimingError):
         return segments
@@ -279,7 +280,7 @@ class _Loosener:
         try:
             path = plan_motion(
                 self.workcell, scene_for(self.workcell, before, segment), before, arm, start, goal, widths,
-                self.program.seed + 31 * j, BRIEFLY, lambda q: obstacle.near(silhouette.at(q)),
+                derived(self.program.seed, "around", j), BRIEFLY, lambda q: obstacle.near(silhouette.at(q)),
             )  # fmt: skip
         except (TransferError, TimingError):
             return ended

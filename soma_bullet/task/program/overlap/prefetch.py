@@ -13,6 +13,7 @@ from dataclasses import replace
 from soma_bullet.frames import readonly
 from soma_bullet.motion.timing import TimingError
 from soma_bullet.motion.transfer import TransferError
+from soma_bullet.seeds import derived
 from soma_bullet.task.kinds import TRANSIT, as_planned
 from soma_bullet.task.program.motions import (
     BRIEFLY,
@@ -156,7 +157,7 @@ class _Order:
             if segment.arm == last.arm or self.encounters.meet(
                 self._rests[last], self.encounters.sweep(before, segment)
             ):
-                free = self._free(before, segment)
+                free = self._free(before, segment, k)
                 if free is None:
                     return None
                 changed[k] = free
@@ -164,7 +165,7 @@ class _Order:
             self._know(before, changed[k], state)
         return changed
 
-    def _free(self, before: CellState, segment: Segment) -> Segment | None:
+    def _free(self, before: CellState, segment: Segment, number: int) -> Segment | None:
         """A segment where its path is free in a state, or with another path; None where there is none."""
         if len(segment.path) < 2:
             return segment
@@ -189,7 +190,7 @@ class _Order:
                 segment.path[0],
                 segment.path[-1],
                 widths,
-                self.program.seed,
+                derived(self.program.seed, "earlier", number),
                 BRIEFLY,
             )
         except (TransferError, TimingError):
