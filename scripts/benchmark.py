@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from soma_bullet.grasp.hand import Hand
+    from soma_bullet.grasp.hand_set import HandSet
 
 CELL = "ur5e_pair"
 GRASPS = 1000
@@ -207,17 +207,17 @@ def run(arguments: Stages, say: Callable[[str], object]) -> dict[str, Any]:
         say(f"seed {seed}")
         with watch.measure("load assembly and cell"):
             assembly, cell = load_assembly(arguments.assembly), load_cell(arguments.cell)
-        hand = cell.arms[0].hand
+        hands = cell.hands
         with watch.measure("contacts"):
             _ = assembly.contacts
         with watch.measure("grasps of all pieces"):
-            qualities = Qualities(assembly, hand, PlannerOptions())
+            qualities = Qualities(assembly, hands, PlannerOptions())
             for k in range(len(assembly.pieces)):
                 qualities.grasps(k)
         with watch.measure("plan, equilibrium mode"):
-            plan = make_plan(assembly, hand, PlannerOptions(seed=seed))
+            plan = make_plan(assembly, hands, PlannerOptions(seed=seed))
         with watch.measure("plan, paper mode"):
-            make_plan(assembly, hand, PlannerOptions(stability="paper", seed=seed))
+            make_plan(assembly, hands, PlannerOptions(stability="paper", seed=seed))
         with watch.measure("robot and collision model"):
             workcell = Workcell(assembly, cell)
         with watch.measure("feed"):
@@ -378,9 +378,9 @@ def _bench_plan(name: str, mode: str, watch: Stopwatch) -> None:
     from soma_bullet.planner.plan import make_plan
     from soma_bullet.planner.qualities import PlannerOptions
 
-    assembly, hand = load_assembly(name), _hand()  # to load it is to look at its contacts
+    assembly, hands = load_assembly(name), _hands()  # to load it is to look at its contacts
     with watch.measure(f"{name}, all 5,040 orders, {mode}" if name == "cube" else f"{name}, {mode}"):
-        make_plan(assembly, hand, PlannerOptions(stability=mode))
+        make_plan(assembly, hands, PlannerOptions(stability=mode))
 
 
 def _bench_parts(watch: Stopwatch) -> None:
@@ -398,7 +398,7 @@ def _bench_parts(watch: Stopwatch) -> None:
     cube = replace(loaded, pieces=tuple(replace(piece) for piece in loaded.pieces))
     with watch.measure("contacts of 7 meshes"):
         _ = cube.contacts
-    qualities, every = Qualities(cube, _hand(), PlannerOptions()), range(len(cube.pieces))
+    qualities, every = Qualities(cube, _hands(), PlannerOptions()), range(len(cube.pieces))
     for size in range(1, len(cube.pieces) + 1):
         for placed in map(frozenset, combinations(every, size)):
             with watch.measure("equilibrium of one of the cube's 127 subsets"):
@@ -407,7 +407,7 @@ def _bench_parts(watch: Stopwatch) -> None:
     poses = np.vstack([cube.goals[k] @ grasps[k].Ts_piece_tcp for k in every])[:GRASPS]
     widths = np.concatenate([grasps[k].widths for k in every])[:GRASPS]
     assert len(poses) == GRASPS
-    hand = _hand()
+    hand = _hands().kinds[0]
     with watch.measure("1,000 grasps against 7 pieces"):
         sweep = sweep_hand(hand, poses, widths)
         for parts in cube.goal_parts:
@@ -415,10 +415,10 @@ def _bench_parts(watch: Stopwatch) -> None:
 
 
 @cache
-def _hand() -> Hand:
+def _hands() -> HandSet:
     from soma_bullet.robot.cell import load_cell
 
-    return load_cell(CELL).arms[0].hand
+    return load_cell(CELL).hands
 
 
 def _peak_memory() -> float:
@@ -427,7 +427,7 @@ def _peak_memory() -> float:
         "import resource; from soma_bullet.assembly.file import load_assembly; from "
         "soma_bullet.planner.plan import make_plan; "
         f"from soma_bullet.robot.cell import load_cell; make_plan(load_assembly('cube'), "
-        f"load_cell('{CELL}').arms[0].hand); "
+        f"load_cell('{CELL}').hands); "
         "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
@@ -534,7 +534,7 @@ def _queries(name: str, workcell: Any, seed: int, poses: str) -> list[Query]:
     from soma_bullet.task.segments import SPEEDS, contexts
 
     cell = workcell.cell
-    plan = kept_plan(workcell.assembly, cell.arms[0].hand, PlannerOptions(seed=seed))
+    plan = kept_plan(workcell.assembly, cell.hands, PlannerOptions(seed=seed))
     try:
         feed = draw_feed(workcell.assembly, plan, cell, seed, FeedOptions(poses=poses))  # type: ignore[arg-type]
         program = make_program(workcell, plan, feed, seed)
@@ -846,7 +846,7 @@ def simulate(arguments: Simulate) -> None:
     )
     assembly, cell = load_assembly(arguments.assembly), load_cell(arguments.cell)
     workcell = Workcell(assembly, cell)
-    plan = kept_plan(assembly, cell.arms[0].hand, PlannerOptions(seed=arguments.seed))
+    plan = kept_plan(assembly, cell.hands, PlannerOptions(seed=arguments.seed))
     feed = draw_feed(assembly, plan, cell, arguments.seed, options.feed)
     program = overlapped(workcell, make_program(workcell, plan, feed, arguments.seed))
     taken: dict[int, list[float]] = defaultdict(list)  # hands that squeeze -> CPU time of steps

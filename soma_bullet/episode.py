@@ -25,7 +25,7 @@ from soma_bullet.control.execute import Executor
 from soma_bullet.control.executive import ExecutionOptions, Executive
 from soma_bullet.control.guide import Compliance
 from soma_bullet.errors import InputError, NoSolutionError
-from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.judge.judge import Tolerance, judge
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.qualities import PlannerOptions
@@ -131,7 +131,7 @@ def run_episode(
     if log is None:
         with clock.stage("plan"):
             progress("planning", 0.0)
-            plan = plan or kept_plan(model, cell.arms[0].hand, replace(options.planner, seed=options.seed))
+            plan = plan or kept_plan(model, cell.hands, replace(options.planner, seed=options.seed))
         if plan_only:
             _write(out, "plan.json", plan)
             return None
@@ -253,9 +253,9 @@ def _resumed(
     for made in (program, log):
         if made is not None and made.cell != cell.name:
             raise InputError(str(resume), f"was made for the cell {made.cell!r}, not {cell.name!r}")
-    hand = cell.arms[0].hand.name
-    if plan is not None and plan.hand != hand:
-        raise InputError(str(resume), f"was made for the hand {plan.hand!r}, not {hand!r}")
+    if plan is not None and (plan.hands, plan.hand_kinds) != (cell.hands.names, cell.hands.arms):
+        theirs, ours = ", ".join(plan.hands), ", ".join(cell.hands.names)
+        raise InputError(str(resume), f"was made for the hands {theirs}, not {ours}")
     if plan is not None and program is not None and plan.order != program.order:
         orders = " <- ".join(program.order), " <- ".join(plan.order)
         raise InputError(
@@ -269,7 +269,7 @@ def _plan_and_program(
 ) -> tuple[AssemblyPlan, Program]:
     """The best order that has a schedule: an order without one is ruled out, and the next best is tried."""
     orders, schedulers, reasons = set[tuple[str, ...]](), dict[tuple[str, ...], Scheduler](), Counter[str]()
-    for candidate, effort in _candidates(assembly, workcell.cell.arms[0].hand, plan):
+    for candidate, effort in _candidates(assembly, workcell.cell.hands, plan):
         orders.add(candidate.order)
         try:
             if candidate.order not in schedulers:
@@ -288,7 +288,9 @@ def _plan_and_program(
     )
 
 
-def _candidates(assembly: Assembly, hand: Hand, plan: AssemblyPlan) -> Iterator[tuple[AssemblyPlan, float]]:
+def _candidates(
+    assembly: Assembly, hands: HandSet, plan: AssemblyPlan
+) -> Iterator[tuple[AssemblyPlan, float]]:
     """Plans of different orders, best first, and the effort of their search: before far worse orders the
     better ones again."""
     best, better, excluded = plan.score, list[AssemblyPlan](), frozenset[tuple[str, ...]]()
@@ -301,7 +303,7 @@ def _candidates(assembly: Assembly, hand: Hand, plan: AssemblyPlan) -> Iterator[
             better.append(plan)
         excluded |= {plan.order}
         try:
-            plan = kept_plan(assembly, hand, plan.options, excluded)
+            plan = kept_plan(assembly, hands, plan.options, excluded)
         except NoSolutionError:
             break
     yield from ((earlier, THOROUGH) for earlier in better)

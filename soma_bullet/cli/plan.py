@@ -63,6 +63,7 @@ def _run(options: PlanArguments) -> int:
 
     _check(options)
     from soma_bullet.assembly.file import load_assembly
+    from soma_bullet.grasp.hand_set import HandSet
     from soma_bullet.planner.assist import HoldLoad
     from soma_bullet.planner.plan import NoPlanError, make_plan
     from soma_bullet.planner.qualities import PlannerOptions, Qualities
@@ -73,15 +74,15 @@ def _run(options: PlanArguments) -> int:
 
     console = Console(stderr=True)
     console.width = max(console.width, 110)
-    assembly, hand = load_assembly(options.assembly), find_hand(options.hand)
+    assembly, hands = load_assembly(options.assembly), HandSet.alike(find_hand(options.hand))
     settings = PlannerOptions(
         options.stability, options.hands, options.seed, options.top, options.analyzer,
         HoldLoad(options.push, options.disturbance),
     )  # fmt: skip
-    qualities = Qualities(assembly, hand, settings)
+    qualities = Qualities(assembly, hands, settings)
     with console.status(f"planning {assembly.name}") as status:
         try:
-            found = make_plan(assembly, hand, settings, qualities=qualities)
+            found = make_plan(assembly, hands, settings, qualities=qualities)
         except NoPlanError as error:
             if options.explain:
                 console.print(explain_rows(error.rows, Tree(f"{assembly.name}: {error.summary}")))
@@ -90,7 +91,7 @@ def _run(options: PlanArguments) -> int:
             from soma_bullet.pictures.figure import draw_orders
 
             status.update(f"drawing {options.figure}")
-            draw_orders(assembly, hand, found, options.figure, options.rows, qualities)
+            draw_orders(assembly, hands, found, options.figure, options.rows, qualities)
         if options.exploded is not None:
             from soma_bullet.pictures.exploded import draw_exploded
 

@@ -11,7 +11,7 @@ import numpy as np
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError, NoSolutionError
 from soma_bullet.frames import to_quat_xyzw
-from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.planner.assembly_plan import (
     AssemblyPlan,
     GraspTable,
@@ -44,7 +44,7 @@ class NoPlanError(NoSolutionError):
 
 def make_plan(
     assembly: Assembly,
-    hand: Hand,
+    hands: HandSet,
     options: PlannerOptions | None = None,
     excluded: frozenset[tuple[str, ...]] = frozenset(),
     qualities: Qualities | None = None,
@@ -52,8 +52,9 @@ def make_plan(
     """Find the best order, with all that a dual-arm task needs.
 
     Args:
+        hands: those of the arms.
         excluded: orders that a later stage found impossible.
-        qualities: of the same assembly, hand and options, to share what was evaluated.
+        qualities: of the same assembly, hands and options, to share what was evaluated.
 
     Raises:
         InputError: the finished assembly cannot stand, or an analyzer is not known.
@@ -62,7 +63,7 @@ def make_plan(
     options = options or PlannerOptions()
     if options.hands < 1 or options.top < 1:
         raise InputError("options", f"hands ({options.hands}) and top ({options.top}) must be at least 1")
-    qualities = qualities or Qualities(assembly, hand, options)
+    qualities = qualities or Qualities(assembly, hands, options)
     orders = Orders(qualities)
     _check_final(assembly, orders)
     refusals: list[str] = []
@@ -110,7 +111,8 @@ def _plan(
     return AssemblyPlan(
         assembly=assembly.name,
         digest=assembly.digest,
-        hand=qualities.hand.name,
+        hands=qualities.hands.names,
+        hand_kinds=qualities.hands.arms,
         options=options,
         order=chosen.order,
         score=chosen.score,
@@ -225,7 +227,8 @@ def _hold(
     for few in (firmest[:CERTIFIED], firmest[CERTIFIED:]):
         for index in few:
             certificate = certify_hold(
-                assembly, qualities.hand, placed, piece, assembly.goals[piece] @ table.Ts_piece_tcp[index],
+                assembly, qualities.hands.kinds[table.kinds[index]], placed, piece,
+                assembly.goals[piece] @ table.Ts_piece_tcp[index],
                 "dropped" if verdict == "robust" else "frictionless", upcoming, direction,
                 load, float(table.contact[index]),
             )  # fmt: skip
@@ -270,7 +273,11 @@ def _table(qualities: Qualities, piece: int) -> GraspTable:
     grasps = qualities.grasps(piece)
     poses = np.hstack(to_quat_xyzw(grasps.Ts_piece_tcp))
     return GraspTable(
-        qualities.assembly.names[piece], np.round(poses, 9) + 0.0, np.round(grasps.widths, 9), grasps.contact
+        qualities.assembly.names[piece],
+        np.round(poses, 9) + 0.0,
+        np.round(grasps.widths, 9),
+        grasps.contact,
+        grasps.kinds,
     )
 
 

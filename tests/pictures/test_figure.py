@@ -15,6 +15,7 @@ import pytest
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError
 from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.pictures.figure import Layout, best_rows, draw_orders, minima, number
 from soma_bullet.pictures.shapes import hand_body, spread_grasps
 from soma_bullet.pictures.still import GROUPS, Scene, StepStills
@@ -90,7 +91,7 @@ def test_the_chosen_order_is_always_shown(plan: AssemblyPlan) -> None:
 def test_all_of_the_plan_stands_in_the_figure(
     soma3: Assembly, hand: Hand, plan: AssemblyPlan, tmp_path: Path
 ) -> None:
-    texts, ids = read(draw_orders(soma3, hand, plan, tmp_path / "orders.svg"))
+    texts, ids = read(draw_orders(soma3, HandSet.alike(hand), plan, tmp_path / "orders.svg"))
     assert len([name for name in ids if re.fullmatch(r"still-\d-\w+-\d", name)]) == 6 * 4 * 3
     for row in plan.orders:
         for value in (*row.s, *row.g, *row.a):
@@ -113,7 +114,7 @@ def test_all_of_the_plan_stands_in_the_figure(
 def test_the_minima_of_each_order_are_framed(
     soma3: Assembly, hand: Hand, plan: AssemblyPlan, tmp_path: Path
 ) -> None:
-    _, ids = read(draw_orders(soma3, hand, plan, tmp_path / "orders.svg", rows=2))
+    _, ids = read(draw_orders(soma3, HandSet.alike(hand), plan, tmp_path / "orders.svg", rows=2))
     framed = sorted(name for name in ids if name.startswith("minimum-0"))
     assert framed == [
         "minimum-0-assemblability-0-3",
@@ -137,7 +138,9 @@ def test_an_order_that_cannot_be_built_says_why(
         g=(0, 0, 0),
     )
     texts, _ = read(
-        draw_orders(soma3, hand, replace(plan, orders=(plan.orders[0], lost)), tmp_path / "orders.svg")
+        draw_orders(
+            soma3, HandSet.alike(hand), replace(plan, orders=(plan.orders[0], lost)), tmp_path / "orders.svg"
+        )
     )
     assert "cannot be built: Z has no straight way in" in texts
     assert "infeasible" in texts
@@ -145,11 +148,11 @@ def test_an_order_that_cannot_be_built_says_why(
 
 def test_another_format_is_refused(soma3: Assembly, hand: Hand, plan: AssemblyPlan, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"\.png, \.svg, \.pdf"):
-        draw_orders(soma3, hand, plan, tmp_path / "orders.gif", rows=1)
+        draw_orders(soma3, HandSet.alike(hand), plan, tmp_path / "orders.gif", rows=1)
 
 
 def test_stills_show_pieces_and_hands(soma3: Assembly, hand: Hand, plan: AssemblyPlan) -> None:
-    stills = StepStills(soma3, hand, Qualities(soma3, hand, plan.options), 80, 80)
+    stills = StepStills(soma3, Qualities(soma3, HandSet.alike(hand), plan.options), 80, 80)
     (scenes,) = stills.frame(plan.orders[:1])
     assert [len(scene.bodies) for scene in scenes["stability"]] == [1, 2, 3]
     for step, scene in enumerate(scenes["graspability"]):
@@ -184,6 +187,8 @@ def test_drawn_grasps_are_few_and_differ() -> None:
 def test_the_whole_figure_is_deterministic(
     ending: str, soma3: Assembly, hand: Hand, plan: AssemblyPlan, tmp_path: Path
 ) -> None:
-    first, second = (draw_orders(soma3, hand, plan, tmp_path / f"{k}.{ending}").read_bytes() for k in "ab")
+    first, second = (
+        draw_orders(soma3, HandSet.alike(hand), plan, tmp_path / f"{k}.{ending}").read_bytes() for k in "ab"
+    )
     assert first == second
     assert ending != "png" or len(first) < 600_000

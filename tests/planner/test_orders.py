@@ -15,6 +15,7 @@ from blocks import assembly, box
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.planner.assemblability import Assemblability
 from soma_bullet.planner.equilibrium import StateStability
 from soma_bullet.planner.orders import Orders
@@ -237,21 +238,21 @@ def twins() -> Assembly:
 def test_ties_are_reported_and_picked_by_the_seed(twins: Assembly, hand: Hand) -> None:
     picked = {}
     for seed in range(6):
-        plan = make_plan(twins, hand, PlannerOptions(seed=seed))
+        plan = make_plan(twins, HandSet.alike(hand), PlannerOptions(seed=seed))
         assert set(plan.ties) == {("one", "two"), ("two", "one")}
-        assert plan.order == make_plan(twins, hand, PlannerOptions(seed=seed)).order
+        assert plan.order == make_plan(twins, HandSet.alike(hand), PlannerOptions(seed=seed)).order
         picked[seed] = plan.order
     assert len(set(picked.values())) == 2
 
 
 def test_a_single_piece_has_no_tie(hand: Hand) -> None:
-    plan = make_plan(assembly([box((0.02,) * 3, "one")], [(0, 0, 0.01)]), hand)
+    plan = make_plan(assembly([box((0.02,) * 3, "one")], [(0, 0, 0.01)]), HandSet.alike(hand))
     assert plan.order == ("one",) and plan.ties == () and plan.steps[0].holds == ()
 
 
 def test_four_blocks_in_paper_mode(hand: Hand) -> None:
     """The Z is unstable when it is placed and the L restabilises it; V, Z, A, L scores within a per cent."""
-    plan = make_plan(load_assembly("soma4"), hand, PlannerOptions(stability="paper"))
+    plan = make_plan(load_assembly("soma4"), HandSet.alike(hand), PlannerOptions(stability="paper"))
     assert plan.order in (("V", "Z", "L", "A"), ("V", "Z", "A", "L"))
     rows = {row.order: row for row in plan.orders}
     best, other = rows["V", "Z", "L", "A"], rows["V", "Z", "A", "L"]

@@ -11,6 +11,7 @@ from blocks import assembly, box
 
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.planner import store
 from soma_bullet.planner.plan import easiest_orders, make_plan, picked
 from soma_bullet.planner.qualities import PlannerOptions
@@ -34,10 +35,10 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     made: list[int] = []
 
     def count(
-        whole: Assembly, hand: Hand, options: PlannerOptions, excluded: frozenset[tuple[str, ...]]
+        whole: Assembly, hands: HandSet, options: PlannerOptions, excluded: frozenset[tuple[str, ...]]
     ) -> object:
         made.append(options.seed)
-        return make_plan(whole, hand, options, excluded)
+        return make_plan(whole, hands, options, excluded)
 
     monkeypatch.setattr(store, "make_plan", count)
     return made
@@ -54,9 +55,9 @@ def test_a_kept_plan_is_the_plan_byte_for_byte(
     made = counted(monkeypatch)
     for seed in range(8):
         options = PlannerOptions(seed=seed)
-        fresh = written(make_plan(twins, hand, options), tmp_path / "fresh.json")
-        assert written(kept_plan(twins, hand, options), tmp_path / "kept.json") == fresh
-        assert written(kept_plan(twins, hand, options), tmp_path / "again.json") == fresh
+        fresh = written(make_plan(twins, HandSet.alike(hand), options), tmp_path / "fresh.json")
+        assert written(kept_plan(twins, HandSet.alike(hand), options), tmp_path / "kept.json") == fresh
+        assert written(kept_plan(twins, HandSet.alike(hand), options), tmp_path / "again.json") == fresh
     assert len(made) == 2  # one for each of the two equal orders
 
 
@@ -64,39 +65,39 @@ def test_what_decides_a_plan_is_part_of_the_key(
     twins: Assembly, hand: Hand, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made = counted(monkeypatch)
-    kept_plan(twins, hand, PlannerOptions())
-    kept_plan(twins, hand, PlannerOptions())
+    kept_plan(twins, HandSet.alike(hand), PlannerOptions())
+    kept_plan(twins, HandSet.alike(hand), PlannerOptions())
     assert len(made) == 1
-    kept_plan(replace(twins, digest="others"), hand, PlannerOptions())
-    kept_plan(twins, replace(hand, pad_size=np.array(hand.pad_size) * 0.9), PlannerOptions())
-    kept_plan(twins, hand, PlannerOptions(stability="paper"))
-    kept_plan(twins, hand, PlannerOptions(), frozenset({("one", "two")}))
+    kept_plan(replace(twins, digest="others"), HandSet.alike(hand), PlannerOptions())
+    kept_plan(twins, HandSet.alike(replace(hand, pad_size=np.array(hand.pad_size) * 0.9)), PlannerOptions())
+    kept_plan(twins, HandSet.alike(hand), PlannerOptions(stability="paper"))
+    kept_plan(twins, HandSet.alike(hand), PlannerOptions(), frozenset({("one", "two")}))
     assert len(made) == 5
     monkeypatch.setattr(store, "_source", lambda: "another planner")
-    kept_plan(twins, hand, PlannerOptions())
+    kept_plan(twins, HandSet.alike(hand), PlannerOptions())
     assert len(made) == 6
 
 
 def test_a_damaged_file_is_planned_anew(twins: Assembly, hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
-    expected = kept_plan(twins, hand, PlannerOptions()).order
+    expected = kept_plan(twins, HandSet.alike(hand), PlannerOptions()).order
     for file in store.store_folder().iterdir():
         file.write_text("damaged")
     made = counted(monkeypatch)
-    assert kept_plan(twins, hand, PlannerOptions()).order == expected
+    assert kept_plan(twins, HandSet.alike(hand), PlannerOptions()).order == expected
     assert len(made) == 1
 
 
 def test_a_store_that_cannot_be_written_does_not_matter(twins: Assembly, hand: Hand, tmp_path: Path) -> None:
     (tmp_path / "cache").write_text("a file where the folder should be")
-    assert kept_plan(twins, hand, PlannerOptions()).order in {("one", "two"), ("two", "one")}
+    assert kept_plan(twins, HandSet.alike(hand), PlannerOptions()).order in {("one", "two"), ("two", "one")}
 
 
 def test_without_a_digest_nothing_is_kept(twins: Assembly, hand: Hand) -> None:
-    kept_plan(replace(twins, digest=""), hand, PlannerOptions())
+    kept_plan(replace(twins, digest=""), HandSet.alike(hand), PlannerOptions())
     assert not store.store_folder().exists()
 
 
 def test_the_seed_picks_among_the_easiest(twins: Assembly, hand: Hand) -> None:
     for seed in range(6):
-        plan = make_plan(twins, hand, PlannerOptions(seed=seed))
+        plan = make_plan(twins, HandSet.alike(hand), PlannerOptions(seed=seed))
         assert easiest_orders(plan)[picked(seed, 2)] == plan.order
