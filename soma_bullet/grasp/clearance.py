@@ -150,15 +150,14 @@ def _swept_box(box: Box, x_low: Array, x_high: Array, way_out: float) -> tuple[A
     centre = np.tile(box.T[:3, 3], (n, 1))
     centre[:, 0] += (x_low + x_high) / 2
     centre[:, 2] -= way_out / 2
-    axes = box.T[:3, :3].T * box.half[:, None]
-    if np.allclose(np.abs(box.T[:3, :3]), np.eye(3), atol=1e-9):  # stays a box
+    if box.aligned:  # stays a box
         generators = np.zeros((n, 3, 3))
         generators[:, 0, 0] = box.half[0] + (x_high - x_low) / 2
         generators[:, 1, 1] = box.half[1]
         generators[:, 2, 2] = box.half[2] + way_out / 2
         return centre, generators
     generators = np.zeros((n, 5, 3))
-    generators[:, :3] = axes
+    generators[:, :3] = box.T[:3, :3].T * box.half[:, None]
     generators[:, 3, 0] = (x_high - x_low) / 2
     generators[:, 4, 2] = way_out / 2
     return centre, generators

@@ -24,6 +24,11 @@ class Box:
     T: Array
     half: Array
 
+    @cached_property
+    def aligned(self) -> bool:
+        """Whether its edges are parallel to the axes of the frame at hand."""
+        return bool(np.allclose(np.abs(self.T[:3, :3]), np.eye(3), atol=1e-9))
+
     def moved(self, offset: Array | tuple[float, float, float]) -> Box:
         """The box shifted by `offset` (3,) [m] in its outer frame."""
         shifted = np.array(self.T)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -61,8 +62,10 @@ def make_plan(
         NoPlanError: no order is feasible; carries what blocked, most frequent first.
     """
     options = options or PlannerOptions()
-    if options.hands < 1 or options.top < 1:
-        raise InputError("options", f"hands ({options.hands}) and top ({options.top}) must be at least 1")
+    least = {"hands": options.hands, "top": options.top, "labels": options.labels}
+    if min(least.values()) < 1:
+        given = ", ".join(f"{name} ({value})" for name, value in least.items())
+        raise InputError("options", f"{given} must be at least 1")
     qualities = qualities or Qualities(assembly, hands, options)
     orders = Orders(qualities)
     _check_final(assembly, orders)
@@ -82,14 +85,12 @@ def _plan(
     orders: Orders, options: PlannerOptions, excluded: frozenset[tuple[str, ...]], refusals: list[str]
 ) -> AssemblyPlan:
     qualities, assembly = orders.q, orders.q.assembly
-    ranked, optimality = _ranked(orders, options.top, excluded)
+    ranking = _ranked(orders, options.top, excluded)
+    ranked = ranking.rows
     candidates = [row for row in ranked if row.feasible and row.score > 0 and row.order not in excluded]
     if not candidates:
         reasons = Counter(row.reason or "score 0" for row in ranked if row.order not in excluded)
-        what = f"none of the {len(ranked)} orders" if ranked else "no order"
-        raise NoPlanError(
-            f"{what} of {assembly.name} can be built", reasons + Counter(refusals), tuple(ranked)
-        )
+        raise NoPlanError(ranking.failure, reasons + Counter(refusals), tuple(ranked))
     ties = [row for row in candidates if math.isclose(row.score, candidates[0].score, rel_tol=1e-9)]
     easiest = _easiest(ties)
     first = easiest[picked(options.seed, len(easiest))]
@@ -120,7 +121,7 @@ def _plan(
         alternatives=tuple(planned[1:]),
         grasps=tuple(_table(qualities, k) for k in range(len(assembly.pieces))),
         orders=tuple(ranked),
-        optimality=optimality,
+        optimality=ranking.optimality,
         ties=tuple(row.order for row in ties) if len(ties) > 1 else (),
         warnings=(
             *_approximations(assembly),
@@ -150,23 +151,48 @@ def easiest_orders(plan: AssemblyPlan) -> list[tuple[str, ...]]:
     return [row.order for row in _easiest([rows[order] for order in plan.ties or (plan.order,)])]
 
 
-def _ranked(orders: Orders, top: int, excluded: frozenset[tuple[str, ...]]) -> tuple[list[OrderRow], str]:
-    """Rows, best first, and what the search guarantees."""
+@dataclass(frozen=True)
+class _Ranking:
+    """Rows of orders, best first.
+
+    Attributes:
+        optimality: what is guaranteed.
+        failure: what to say where none of them can be built.
+    """
+
+    rows: list[OrderRow]
+    optimality: str
+    failure: str
+
+
+def _ranked(orders: Orders, top: int, excluded: frozenset[tuple[str, ...]]) -> _Ranking:
+    name = orders.q.assembly.name
     if orders.count <= MOST_ENUMERATED:
-        rows = orders.all_rows()
-        return sorted(
-            rows, key=lambda row: (not row.feasible, -row.score)
-        ), f"exact: all {len(rows)} orders were compared"
-    rows, labels = orders.best_rows(max(top, TIES) + len(excluded))
-    how = (
-        f"exact: a search over subsets with {labels} labels; no order scores better, and the best "
-        f"{len(rows)} are listed"
-    )
+        rows = sorted(orders.all_rows(), key=lambda row: (not row.feasible, -row.score))
+        exact = f"exact: all {len(rows)} orders were compared"
+        return _Ranking(rows, exact, f"none of the {len(rows)} orders of {name} can be built")
+    rows, search = orders.best_rows(max(top, TIES) + len(excluded))
+    limit = f"the search over subsets reached its limit of {orders.q.options.labels} labels"
     if rows:
-        return rows, how
+        if search.ended:
+            found = f"a search over subsets with {search.labels} labels"
+            how = f"exact: {found}; no order scores better, and the best {len(rows)} are listed"
+        elif search.proven:
+            how = (
+                f"exact for the best {search.proven}: no order scores better; others may be missing, {limit}"
+            )
+        else:
+            how = f"not proven best: the best of {len(rows)} orders that were found; {limit}"
+        return _Ranking(rows, how, f"none of the {len(rows)} best orders of {name} can be built")
     # every way ends somewhere: say where the ways of some orders do
     samples = np.random.default_rng(0).permuted(np.tile(np.arange(orders.count), (SAMPLES, 1)), axis=1)
-    return [orders.row(tuple(int(k) for k in order)) for order in np.unique(samples, axis=0)], how
+    drawn = [orders.row(tuple(int(k) for k in order)) for order in np.unique(samples, axis=0)]
+    drawn.sort(key=lambda row: (not row.feasible, -row.score))
+    why = f"what rules out {len(drawn)} orders drawn at random"
+    if search.ended:
+        return _Ranking(drawn, "", f"no order of {name} can be built; {why}")
+    how = f"not proven best: the best of {len(drawn)} orders drawn at random; {limit}"
+    return _Ranking(drawn, how, f"no order of {name} was found: {limit} (PlannerOptions.labels); {why}")
 
 
 def _check_final(assembly: Assembly, orders: Orders) -> None:

@@ -29,6 +29,7 @@ from soma_bullet.planner.assemblability import Assemblability, Rank, analyse_ass
 from soma_bullet.planner.assist import HoldLoad
 from soma_bullet.planner.equilibrium import StateStability, classify, friction_of
 from soma_bullet.planner.paper_stability import contact_wrenches, wrench_margin
+from soma_bullet.planner.search import LABELS
 
 Placed = frozenset[int]
 FEW = 6  # grasps of either hand, of each kind, that are tried first where one pair is enough
@@ -50,6 +51,8 @@ class PlannerOptions:
             values are factors of the score.
         load: what a hold must resist beside gravity.
         sampling: how grasps are sampled.
+        labels: that the search over the orders of many pieces may make; it ends in reasonable time that way,
+            and at the same place on every machine.
     """
 
     stability: str = "equilibrium"
@@ -59,6 +62,7 @@ class PlannerOptions:
     analyzers: tuple[str, ...] = ()
     load: HoldLoad = HoldLoad()
     sampling: SamplingOptions = SamplingOptions()
+    labels: int = LABELS
 
 
 class Qualities:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -21,6 +22,8 @@ from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.plan import easiest_orders, make_plan, picked
 from soma_bullet.planner.qualities import PlannerOptions
 from soma_bullet.records import package_versions, read_json, to_tree, write_json
+
+LARGEST = 200_000_000  # [bytes] of all plans; one of seven pieces has 6 MB
 
 
 def store_folder() -> Path:
@@ -50,8 +53,13 @@ def kept_plan(
     key = _key(assembly, hands, options, excluded)
     folder = store_folder()
     try:
-        count = int(json.loads((folder / f"{key}.json").read_text(encoding="utf-8"))["picks"])
-        plan = read_json(AssemblyPlan, folder / f"{key}_{picked(options.seed, count)}.json")
+        picks = folder / f"{key}.json"
+        count = int(json.loads(picks.read_text(encoding="utf-8"))["picks"])
+        file = folder / f"{key}_{picked(options.seed, count)}.json"
+        plan = read_json(AssemblyPlan, file)
+        with suppress(OSError):  # read-only: nothing is deleted there either
+            picks.touch()
+            file.touch()
         return replace(plan, options=options)
     except (OSError, ValueError, KeyError, InputError):  # not there yet, or damaged: it is made anew
         pass
@@ -61,9 +69,25 @@ def kept_plan(
         folder.mkdir(parents=True, exist_ok=True)
         write_json(plan, folder / f"{key}_{picked(options.seed, count)}.json")
         write_json({"picks": count}, folder / f"{key}.json")
+        _make_room(folder)
     except OSError:  # a read-only home is no reason to fail
         pass
     return plan
+
+
+def _make_room(folder: Path) -> None:
+    """Delete the files that were not asked for the longest until all together are no larger than LARGEST."""
+    files = []
+    for file in folder.glob("*.json"):
+        with suppress(OSError):  # another process may make room too
+            files.append((file.stat().st_mtime_ns, file.stat().st_size, file))
+    excess = sum(size for _, size, _ in files) - LARGEST
+    for _, size, file in sorted(files):
+        if excess <= 0:
+            break
+        with suppress(OSError):
+            file.unlink()
+        excess -= size
 
 
 def _key(
