@@ -14,14 +14,16 @@ import pytest
 
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError
-from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.hand import Hand, load_hand
 from soma_bullet.grasp.hand_set import HandSet
+from soma_bullet.pictures import still
 from soma_bullet.pictures.figure import Layout, best_rows, draw_orders, minima, number
 from soma_bullet.pictures.shapes import hand_body, spread_grasps
 from soma_bullet.pictures.still import GROUPS, Scene, StepStills
 from soma_bullet.planner.assembly_plan import AssemblyPlan
-from soma_bullet.planner.qualities import Qualities
+from soma_bullet.planner.qualities import PlannerOptions, Qualities
 
+ROOT = Path(__file__).resolve().parents[2]
 SVG = "{http://www.w3.org/2000/svg}"
 
 
@@ -164,6 +166,20 @@ def test_stills_show_pieces_and_hands(soma3: Assembly, hand: Hand, plan: Assembl
     red = (picture[..., 0] > picture[..., 1].astype(int) + 60) & (picture[..., 3] > 0)
     assert red.mean() > 0.02
     assert stills.image(scenes["assisting"][0]) is picture
+
+
+def test_each_grasp_is_drawn_with_its_own_hand(
+    soma3: Assembly, hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small = load_hand(ROOT / "tests/data/mixed_pair/hand.toml")
+    judge = Qualities(soma3, HandSet.of([hand, small]), PlannerOptions())
+    drawn: list[Hand] = []
+    monkeypatch.setattr(still, "hand_body", lambda shown, *_: drawn.append(shown))
+    for kind in range(2):
+        chosen = np.flatnonzero(judge.grasps(0).kinds == kind)
+        StepStills(soma3, judge, 80, 80)._hands(0, chosen, (0.0, 1.0, 0.0), 3)
+        assert drawn and set(shown.name for shown in drawn) == {judge.hands.kinds[kind].name}
+        drawn.clear()
 
 
 def test_a_drawn_hand_ends_where_it_is_cut(hand: Hand) -> None:

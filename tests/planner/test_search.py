@@ -172,6 +172,54 @@ def test_twelve_pieces() -> None:
             )
 
 
+def test_labels_run_out_before_any_order_is_complete() -> None:
+    """What has the most pieces then comes first: orders are found, in the order of their scores, unproven."""
+    steps = instance(12, 1, falling=0.3)
+    exact = best_orders(steps, 2, steps.bound)
+    assert exact.ended and exact.proven == 2
+    few = best_orders(steps, 2, steps.bound, most=exact.labels // 4)
+    assert not few.ended and few.proven == 0 and few.labels <= exact.labels // 4 + 12
+    assert few.found and all(sorted(item.order) == list(range(12)) for item in few.found)
+    assert all(0 < item.score <= exact.found[0].score for item in few.found)
+    assert [item.score for item in few.found] == sorted((item.score for item in few.found), reverse=True)
+    assert few == best_orders(instance(12, 1, falling=0.3), 2, steps.bound, most=exact.labels // 4)
+    for item in few.found:  # what is said of it is so
+        followed = follow(steps.supports, item.order)
+        assert followed.complete and followed.holds[0] >= item.minima[0]
+
+
+def test_labels_run_out_once_some_orders_are_proven() -> None:
+    steps = instance(6, 3)
+    everything = best_orders(steps, 10**6, steps.bound)
+    assert everything.ended and everything.proven == len(everything.found) > 20
+    cut = 0
+    for most in range(everything.labels // 2, everything.labels, 7):
+        part = best_orders(steps, 10**6, steps.bound, most=most)
+        assert not part.ended and part.proven <= len(part.found)
+        best = everything.found[: part.proven]
+        assert [item.score for item in part.found[: part.proven]] == [item.score for item in best]
+        cut += 0 < part.proven
+    assert cut > 3
+
+
+@given(SEEDS, st.integers(2, 6), st.integers(1, 3))
+@settings(max_examples=25)
+def test_holds_that_can_serve_nothing_are_no_loss(seed: int, count: int, hands: int) -> None:
+    """Every order has the same best holds as where each hold is followed that keeps the state up."""
+    few, every = instance(count, seed, hands), instance(count, seed, hands)
+    assert few._holds is not None and every._holds is not None
+    every._holds._serves = lambda *_: True  # type: ignore[method-assign]
+    assert list(follow_all(few)) == list(follow_all(every))
+
+
+def test_nothing_is_asked_where_nothing_needs_a_hand() -> None:
+    steps = instance(6, 0, falling=-1.0)
+    asked: list[Any] = []
+    steps.can_assist = lambda *question: asked.append(question) or True  # type: ignore[method-assign]
+    assert all(item.complete and not any(item.holds[2]) for item in follow_all(steps))
+    assert not asked
+
+
 def test_nothing_to_find() -> None:
     steps = instance(4, 0, falling=2.0)
     assert best_orders(steps, 3).found == ()

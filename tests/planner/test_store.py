@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -73,9 +74,35 @@ def test_what_decides_a_plan_is_part_of_the_key(
     kept_plan(twins, HandSet.alike(hand), PlannerOptions(stability="paper"))
     kept_plan(twins, HandSet.alike(hand), PlannerOptions(), frozenset({("one", "two")}))
     assert len(made) == 5
+    weak = replace(hand, grip_force=hand.grip_force / 2)
+    for arms in ([hand, weak], [weak, hand], [hand, weak, weak], [hand, replace(hand, opening=0.05)]):
+        for _ in range(2):
+            kept_plan(twins, HandSet.of(arms), PlannerOptions())
+    assert len(made) == 9
     monkeypatch.setattr(store, "_source", lambda: "another planner")
     kept_plan(twins, HandSet.alike(hand), PlannerOptions())
-    assert len(made) == 6
+    assert len(made) == 10
+
+
+def test_what_was_not_asked_for_the_longest_makes_room(
+    twins: Assembly, hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = counted(monkeypatch)
+    wholes, hands = [replace(twins, digest=f"twins{k}") for k in range(4)], HandSet.alike(hand)
+    for k, whole in enumerate(wholes[:3]):
+        kept_plan(whole, hands, PlannerOptions())
+        for file in store.store_folder().iterdir():
+            if file.stat().st_mtime > 1000:
+                os.utime(file, (100 + k, 100 + k))
+    size = sum(file.stat().st_size for file in store.store_folder().iterdir())
+    monkeypatch.setattr(store, "LARGEST", size)
+    kept_plan(wholes[0], hands, PlannerOptions())  # asked for again
+    assert len(made) == 3
+    kept_plan(wholes[3], hands, PlannerOptions())
+    assert sum(file.stat().st_size for file in store.store_folder().iterdir()) <= size
+    for whole, count in ((wholes[3], 4), (wholes[0], 4), (wholes[1], 5)):
+        kept_plan(whole, hands, PlannerOptions())
+        assert len(made) == count
 
 
 def test_a_damaged_file_is_planned_anew(twins: Assembly, hand: Hand, monkeypatch: pytest.MonkeyPatch) -> None:
