@@ -192,21 +192,22 @@ def test_labels_run_out_once_some_orders_are_proven() -> None:
     steps = instance(6, 3)
     everything = best_orders(steps, 10**6, steps.bound)
     assert everything.ended and everything.proven == len(everything.found) > 20
-    cut = 0
+    cut = unproven = 0
     for most in range(everything.labels // 2, everything.labels, 7):
         part = best_orders(steps, 10**6, steps.bound, most=most)
         assert not part.ended and part.proven <= len(part.found)
         best = everything.found[: part.proven]
         assert [item.score for item in part.found[: part.proven]] == [item.score for item in best]
         cut += 0 < part.proven
-    assert cut > 3
+        unproven += 0 < part.proven < len(part.found)  # complete, though better ones may come
+    assert cut > 3 and unproven > 3
 
 
-@given(SEEDS, st.integers(2, 6), st.integers(1, 3))
-@settings(max_examples=25)
-def test_holds_that_can_serve_nothing_are_no_loss(seed: int, count: int, hands: int) -> None:
+@given(SEEDS, st.integers(2, 5), st.integers(1, 4), st.sampled_from([0.2, 0.4, 0.6]))
+@settings(max_examples=60)
+def test_holds_that_can_serve_nothing_are_no_loss(seed: int, count: int, hands: int, falling: float) -> None:
     """Every order has the same best holds as where each hold is followed that keeps the state up."""
-    few, every = instance(count, seed, hands), instance(count, seed, hands)
+    few, every = (instance(count, seed, hands, falling) for _ in range(2))
     assert few._holds is not None and every._holds is not None
     every._holds._serves = lambda *_: True  # type: ignore[method-assign]
     assert list(follow_all(few)) == list(follow_all(every))
