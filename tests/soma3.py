@@ -21,7 +21,7 @@ from soma_bullet.task.workcell import Workcell
 def planned() -> tuple[Workcell, AssemblyPlan, Program]:
     """One arm at a time."""
     whole, cell = load_assembly("soma3"), load_cell("ur5e_pair")
-    plan = kept_plan(whole, cell.arms[0].hand, PlannerOptions())
+    plan = kept_plan(whole, cell.hands, PlannerOptions())
     workcell = Workcell(whole, cell)
     feed = draw_feed(whole, plan, cell, 0, FeedOptions(poses="preferred"))
     return workcell, plan, make_program(workcell, plan, feed, 0)

@@ -34,7 +34,7 @@ def workcell(soma3: Assembly, cell: Cell) -> Workcell:
 
 @pytest.fixture(scope="session")
 def plan(soma3: Assembly, cell: Cell) -> AssemblyPlan:
-    return make_plan(soma3, cell.arms[0].hand)
+    return make_plan(soma3, cell.hands)
 
 
 @pytest.fixture(scope="session")
