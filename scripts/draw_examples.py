@@ -35,6 +35,7 @@ def draw(name: str, path: Path) -> None:
     """Draw the exploded view of one example into `path`."""
     from soma_bullet.assembly.file import load_assembly
     from soma_bullet.grasp.hand import load_hand
+    from soma_bullet.grasp.hand_set import HandSet
     from soma_bullet.pictures.exploded import draw_exploded
     from soma_bullet.planner.options import HoldLoad, PlannerOptions
     from soma_bullet.planner.plan import make_plan
@@ -42,8 +43,8 @@ def draw(name: str, path: Path) -> None:
     assembly = load_assembly(name)
     # the stones of the arch would give way to the usual 2 N of the last insertion
     options = PlannerOptions(analyzers=("grounded",), load=HoldLoad(push=1.0 if name == "arch" else 2.0))
-    hand = load_hand(ROOT / "robots" / "ur5e_pair" / "hand.toml")
-    draw_exploded(assembly, make_plan(assembly, hand, options), path)
+    hands = HandSet.alike(load_hand(ROOT / "robots" / "ur5e_pair" / "hand.toml"))
+    draw_exploded(assembly, make_plan(assembly, hands, options), path)
 
 
 def main(path: Path) -> None:

@@ -4,7 +4,7 @@ poses.
     import soma_bullet as sb
 
     assembly, cell = sb.load_assembly("soma3"), sb.load_cell("ur5e_pair")
-    plan = sb.make_plan(assembly, cell.arms[0].hand)
+    plan = sb.make_plan(assembly, cell.hands)
     program = sb.make_program(assembly, cell, plan)
     log = sb.execute(assembly, cell, plan, program)
     verdict = sb.judge(log, assembly, cell)

@@ -85,7 +85,7 @@ def run_episode(
         with clock.stage("plan"):
             progress("planning", 0.0)
             planner = replace(options.planner.with_hands(len(cell.arms)), seed=options.seed)
-            plan = plan or kept_plan(model, cell.arms[0].hand, planner)
+            plan = plan or kept_plan(model, cell.hands, planner)
         if plan_only:
             _write(out, PLAN, plan)
             return None

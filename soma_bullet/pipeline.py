@@ -170,9 +170,10 @@ def check_fit(
     hands = plan.options.hand_count if plan is not None else 0
     if hands > len(cell.arms):
         raise InputError(source, f"was made for {hands} hands; {cell.name} has {len(cell.arms)} arms")
-    hand = cell.arms[0].hand.name
-    if plan is not None and plan.hand != hand:
-        raise InputError(source, f"was made for the hand {plan.hand!r}, not {hand!r}")
+    ours = cell.hands
+    if plan is not None and (plan.hands, plan.hand_kinds) != (ours.names, ours.arms):
+        theirs = ", ".join(plan.hands)
+        raise InputError(source, f"was made for the hands {theirs}, not {', '.join(ours.names)}")
     if plan is not None and program is not None and plan.order != program.order:
         orders = " <- ".join(program.order), " <- ".join(plan.order)
         raise InputError(

@@ -115,4 +115,4 @@ class Sizes:
 
 def way_out(finger: float) -> float:
     """How far a hand goes straight to a grasp and back from it [m], by the length of its fingers [m]."""
-    return 0.06 * finger / FINGER
+    return 0.06 * (finger / FINGER)

@@ -33,9 +33,9 @@ class Lies:
 def serving(workcell: Workcell, plan: AssemblyPlan, piece: str) -> list[tuple[int, Array]]:
     """T_table_piece (4, 4) of the resting poses of a piece, each with how many grasps serve there and at the
     goal, most first."""
-    hand, whole = workcell.hand(0), workcell.assembly
+    hands, whole = workcell.cell.hands, workcell.assembly
     counted = [
-        (len(serving_grasps(whole, plan, hand, piece, rest)), rest)
+        (len(serving_grasps(whole, plan, hands, piece, rest)), rest)
         for rest in steady_poses(workcell.body(piece))
     ]
     return sorted(counted, key=lambda item: -item[0])

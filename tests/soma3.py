@@ -20,7 +20,7 @@ from tests.feeds import APART, laid
 def planned() -> tuple[Workcell, AssemblyPlan, Program]:
     """One arm at a time; the pieces lie so that each is picked and goes straight in."""
     whole, cell = load_assembly("soma3"), load_cell("ur5e_pair")
-    plan = kept_plan(whole, cell.arms[0].hand, PlannerOptions())
+    plan = kept_plan(whole, cell.hands, PlannerOptions())
     workcell = Workcell(whole, cell)
     return workcell, plan, make_program(workcell, plan, laid(workcell, plan, APART), 0)
 

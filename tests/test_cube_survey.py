@@ -8,6 +8,7 @@ import pytest
 
 from soma_bullet.assembly.packings import soma_cube
 from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.qualities import Qualities
 from soma_bullet.robot.cell import find_hand
@@ -23,7 +24,7 @@ def test_an_order_that_is_found_stands_at_every_step(hand: Hand) -> None:
     cube = soma_cube(7)
     order = stable_order(cube)
     assert order is not None and sorted(order) == list(range(7))
-    judge = Qualities(cube, hand, PlannerOptions())
+    judge = Qualities(cube, HandSet.alike(hand), PlannerOptions())
     for k, piece in enumerate(order):
         assert judge.stability(frozenset(order[: k + 1])).verdict != "unstable"
         assert judge.assemblability(piece, frozenset(order[:k])).direction is not None

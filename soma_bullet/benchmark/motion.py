@@ -75,7 +75,7 @@ def queries_of(name: str, workcell: Workcell, seed: int, options: FeedOptions) -
     """The motions around obstacles of one program; none where there is no program."""
 
     cell = workcell.cell
-    plan = kept_plan(workcell.assembly, cell.arms[0].hand, PlannerOptions(seed=seed))
+    plan = kept_plan(workcell.assembly, cell.hands, PlannerOptions(seed=seed))
     try:
         feed = draw_feed(workcell.assembly, plan, cell, seed, options)
         program = make_program(workcell, plan, feed, seed)

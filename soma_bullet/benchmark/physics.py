@@ -23,7 +23,7 @@ def simulate(arguments: Simulate) -> None:
     assembly, cell = load_assembly(arguments.assembly), cell_of(options)
     workcell = Workcell(assembly, cell)
     planner = replace(options.planner.with_hands(len(cell.arms)), seed=options.seed)
-    plan = kept_plan(assembly, cell.arms[0].hand, planner)
+    plan = kept_plan(assembly, cell.hands, planner)
     program = make_program(assembly, cell, plan, options)
     taken: dict[int, list[float]] = defaultdict(list)  # hands that squeeze -> CPU time of steps
     step = BulletSimulator.step

@@ -10,7 +10,6 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import cache
 from itertools import combinations
 from typing import Any
 
@@ -20,7 +19,6 @@ from soma_bullet.assembly.file import load_assembly
 from soma_bullet.benchmark.options import CELL
 from soma_bullet.benchmark.stopwatch import Stopwatch, met
 from soma_bullet.grasp.clearance import clear_of_scene, sweep_hand
-from soma_bullet.grasp.hand import Hand
 from soma_bullet.planner import plan
 from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.qualities import Qualities
@@ -141,9 +139,9 @@ def _clocks() -> Iterator[dict[str, float]]:
 def _bench_plan(name: str, mode: str, watch: Stopwatch) -> None:
     """Plans an assembly, loaded afresh."""
 
-    assembly, hand = load_assembly(name), _hand()  # to load it is to look at its contacts
+    assembly, hands = load_assembly(name), load_cell(CELL).hands  # to load it is to look at its contacts
     with watch.measure(f"{name}, all 5,040 orders, {mode}" if name == "cube" else f"{name}, {mode}"):
-        plan.make_plan(assembly, hand, PlannerOptions(stability=mode))
+        plan.make_plan(assembly, hands, PlannerOptions(stability=mode))
 
 
 def _bench_parts(watch: Stopwatch) -> None:
@@ -154,7 +152,7 @@ def _bench_parts(watch: Stopwatch) -> None:
     cube = replace(loaded, pieces=tuple(replace(piece) for piece in loaded.pieces))
     with watch.measure("contacts of 7 meshes"):
         _ = cube.contacts
-    qualities, every = Qualities(cube, _hand(), PlannerOptions()), range(len(cube.pieces))
+    qualities, every = Qualities(cube, load_cell(CELL).hands, PlannerOptions()), range(len(cube.pieces))
     for size in range(1, len(cube.pieces) + 1):
         for placed in map(frozenset, combinations(every, size)):
             with watch.measure("equilibrium of one of the cube's 127 subsets"):
@@ -163,17 +161,11 @@ def _bench_parts(watch: Stopwatch) -> None:
     poses = np.vstack([cube.goals[k] @ grasps[k].Ts_piece_tcp for k in every])[:GRASPS]
     widths = np.concatenate([grasps[k].widths for k in every])[:GRASPS]
     assert len(poses) == GRASPS
-    hand = _hand()
+    hand = load_cell(CELL).arms[0].hand
     with watch.measure("1,000 grasps against 7 pieces"):
         sweep = sweep_hand(hand, poses, widths)
         for parts in cube.goal_parts:
             clear_of_scene(sweep, parts, None)
-
-
-@cache
-def _hand() -> Hand:
-
-    return load_cell(CELL).arms[0].hand
 
 
 def _peak_memory() -> float:
@@ -182,7 +174,7 @@ def _peak_memory() -> float:
         "import resource; from soma_bullet.assembly.file import load_assembly; from "
         "soma_bullet.planner.plan import make_plan; "
         f"from soma_bullet.robot.cell import load_cell; make_plan(load_assembly('cube'), "
-        f"load_cell('{CELL}').arms[0].hand); "
+        f"load_cell('{CELL}').hands); "
         "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)

@@ -47,17 +47,17 @@ def run(arguments: Stages, say: Callable[[str], object]) -> dict[str, Any]:
         say(f"seed {seed}")
         with watch.measure("load assembly and cell"):
             assembly, cell = load_assembly(arguments.assembly), load_cell(arguments.cell)
-        hand = cell.arms[0].hand
+        hands = cell.hands
         with watch.measure("contacts"):
             _ = assembly.contacts
         with watch.measure("grasps of all pieces"):
-            qualities = Qualities(assembly, hand, PlannerOptions())
+            qualities = Qualities(assembly, hands, PlannerOptions())
             for k in range(len(assembly.pieces)):
                 qualities.grasps(k)
         with watch.measure("plan, equilibrium mode"):
-            plan = make_plan(assembly, hand, PlannerOptions(seed=seed))
+            plan = make_plan(assembly, hands, PlannerOptions(seed=seed))
         with watch.measure("plan, paper mode"):
-            make_plan(assembly, hand, PlannerOptions(stability="paper", seed=seed))
+            make_plan(assembly, hands, PlannerOptions(stability="paper", seed=seed))
         with watch.measure("robot and collision model"):
             workcell = Workcell(assembly, cell)
         with watch.measure("feed"):

@@ -76,6 +76,7 @@ def _run(options: PlanArguments) -> int:
     from rich.tree import Tree
 
     from soma_bullet.assembly.file import load_assembly
+    from soma_bullet.grasp.hand_set import HandSet
     from soma_bullet.planner.plan import NoPlanError, make_plan
     from soma_bullet.planner.qualities import Qualities
     from soma_bullet.records import write_json
@@ -85,11 +86,11 @@ def _run(options: PlanArguments) -> int:
 
     console = Console(stderr=True)
     console.width = max(console.width, WIDTH)
-    assembly, hand = load_assembly(options.assembly), find_hand(options.hand)
-    qualities = Qualities(assembly, hand, options.planner)
+    assembly, hands = load_assembly(options.assembly), HandSet.alike(find_hand(options.hand))
+    qualities = Qualities(assembly, hands, options.planner)
     with console.status(f"planning {assembly.name}") as status:
         try:
-            found = make_plan(assembly, hand, options.planner, qualities=qualities)
+            found = make_plan(assembly, hands, options.planner, qualities=qualities)
         except NoPlanError as error:
             if options.explain:
                 console.print(explain_rows(error.rows, Tree(f"{assembly.name}: {error.summary}")))
@@ -98,7 +99,7 @@ def _run(options: PlanArguments) -> int:
             from soma_bullet.pictures.figure import draw_orders
 
             status.update(f"drawing {options.figure}")
-            draw_orders(assembly, hand, found, options.figure, options.rows, qualities)
+            draw_orders(assembly, hands, found, options.figure, options.rows, qualities)
         if options.exploded is not None:
             from soma_bullet.pictures.exploded import draw_exploded
 

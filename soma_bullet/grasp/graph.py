@@ -15,9 +15,9 @@ import numpy as np
 
 from soma_bullet.assembly.resting import steady_poses
 from soma_bullet.assembly.workpiece import Workpiece
-from soma_bullet.frames import Array, Mask
-from soma_bullet.grasp.clearance import SUPPORT_MARGIN, hands_clear, sweep_hand
-from soma_bullet.grasp.hand import Hand
+from soma_bullet.frames import Array, Indices, Mask
+from soma_bullet.grasp.clearance import OPENING, SUPPORT_MARGIN, HandSweep, hands_clear, sweep_hands
+from soma_bullet.grasp.hand_set import HandSet
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,15 +44,19 @@ class Grip:
 
 
 class GraspGraph:
-    """One piece, its table of grasps, and a hand; its parts are computed when they are asked for, and once.
+    """One piece, its table of grasps, and the hands; its parts are computed when they are asked for, and
+    once.
 
     Args:
         poses: T_piece_tcp (n, 4, 4); widths (n,) [m]; contact: fraction of the pad on the piece (n,).
+        kinds: of the hand (n,), as in the set of hands.
     """
 
-    def __init__(self, piece: Workpiece, hand: Hand, poses: Array, widths: Array, contact: Array):
-        self.piece, self.hand = piece, hand
-        self.poses, self.widths, self.contact = poses, widths, contact
+    def __init__(
+        self, piece: Workpiece, hands: HandSet, poses: Array, widths: Array, contact: Array, kinds: Indices
+    ):
+        self.piece, self.hands = piece, hands
+        self.poses, self.widths, self.contact, self.kinds = poses, widths, contact, kinds
         self._meets: dict[int, Mask] = {}
         self._grips: dict[int, Grip] = {}
 
@@ -79,15 +83,36 @@ class GraspGraph:
 
     def above_table(self, T_table_piece: Array) -> Mask:
         """Whether the hand is clear of the table by each grasp with the piece at a pose: bool (n,)."""
-        sweep = sweep_hand(self.hand, T_table_piece @ self.poses, self.widths)
-        return np.asarray(sweep.above(0.0) > SUPPORT_MARGIN)
+        return np.asarray(self.sweep(T_table_piece).above(0.0) > SUPPORT_MARGIN)
+
+    @cached_property
+    def openings(self) -> Array:
+        """Widest distance between the pads of each grasp's hand (n,) [m]."""
+        return np.array([hand.opening for hand in self.hands.kinds])[self.kinds]
+
+    def usable(self, arm: int) -> Mask:
+        """Which grasps are those of an arm's hand: bool (n,)."""
+        return np.asarray(self.kinds == self.hands.arms[arm])
+
+    def sweep(
+        self,
+        T_piece: Array,
+        indices: Indices | slice = slice(None),
+        opening: float = OPENING,
+        way_out: float | None = None,
+        sweep: Array | None = None,
+    ) -> HandSweep:
+        """The hands at some grasps with the piece at a pose (4, 4); see `sweep_hands`."""
+        Ts, widths = T_piece @ self.poses[indices], self.widths[indices]
+        return sweep_hands(self.hands, self.kinds[indices], Ts, widths, opening, way_out, sweep)
 
     def together(self, index: int) -> Mask:
         """Which grasps (n,) another hand may have at the same time as one hand has this one, on their ways in
         and out too."""
         if index not in self._meets:
-            one = sweep_hand(self.hand, self.poses[[index]], self.widths[[index]])
-            self._meets[index] = hands_clear(sweep_hand(self.hand, self.poses, self.widths), one)[:, 0]
+            here = np.eye(4)
+            clear = hands_clear(self.sweep(here), self.sweep(here, np.array([index])))[:, 0]
+            self._meets[index] = clear & self.hands.pairs[self.kinds, self.kinds[index]]
         return self._meets[index]
 
     def nearest(self, T_piece_tcp: Array, among: Mask) -> tuple[int, float, float]:

@@ -5,7 +5,7 @@ The TCP lies midway between the pads' centres: z towards the workpiece, x the cl
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,11 @@ class Box:
 
     T: Array
     half: Array
+
+    @cached_property
+    def aligned(self) -> bool:
+        """Whether its edges are parallel to the axes of the frame at hand."""
+        return bool(np.allclose(np.abs(self.T[:3, :3]), np.eye(3), atol=1e-9))
 
     def moved(self, offset: Array | tuple[float, float, float]) -> Box:
         """The box shifted by `offset` (3,) [m] in its outer frame."""
@@ -73,6 +78,20 @@ class Hand:
         shift = np.array((width / 2, 0.0, 0.0))
         left = tuple(box.moved(shift) for box in self.left_boxes)
         return (*self.palm_boxes, *left, *(box.moved(-shift) for box in self.right_boxes))
+
+    @cached_property
+    def figures(self) -> dict[str, Any]:
+        """All fields but the URDF's place, as numbers, texts and lists: the same for equal hands."""
+        return {f.name: _plain(getattr(self, f.name)) for f in fields(self) if f.name != "urdf"}
+
+
+def _plain(value: Any) -> Any:
+    """A field of a hand; its boxes by their numbers."""
+    if isinstance(value, tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, Box):
+        return [value.T.tolist(), value.half.tolist()]
+    return np.asarray(value).tolist()
 
 
 def load_hand(path: Path | str) -> Hand:

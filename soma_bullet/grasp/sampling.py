@@ -4,7 +4,6 @@ pair them)."""
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import shapely
@@ -14,6 +13,7 @@ from soma_bullet.assembly.facets import Facet
 from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.frames import Array, Indices, readonly
 from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.grasp.options import SamplingOptions
 
 SMALLEST_OVERLAP = 1e-8  # [m2] of opposite faces
@@ -23,17 +23,19 @@ LINE = (1.5 / (np.sqrt(2) + np.arcsinh(1.0))) ** 2
 
 @dataclass(frozen=True, eq=False)
 class GraspSet:
-    """n grasps of one piece.
+    """n grasps of one piece, by hands of several kinds.
 
     Attributes:
         Ts_piece_tcp: (n, 4, 4); x is the closing axis, z the approach direction.
         widths: distance between the pads (n,) [m].
         contact: fraction of the pad on the piece (n,), in 0..1.
+        kinds: kind of the hand (n,), an index of `HandSet.kinds`; ascending as they are sampled.
     """
 
     Ts_piece_tcp: Array
     widths: Array
     contact: Array
+    kinds: Indices
 
     def __len__(self) -> int:
         return len(self.widths)
@@ -41,21 +43,27 @@ class GraspSet:
     def take(self, indices: Indices) -> GraspSet:
         """The grasps at `indices`, in that order."""
         return GraspSet(
-            *(readonly(field[indices]) for field in (self.Ts_piece_tcp, self.widths, self.contact))
+            readonly(self.Ts_piece_tcp[indices]),
+            readonly(self.widths[indices]),
+            readonly(self.contact[indices]),
+            readonly(self.kinds[indices], int),
         )
 
-    @cached_property
-    def centre_distance(self) -> Array:
-        """Distance of the pads' midpoint from the piece's origin (n,) [m]."""
-        return np.linalg.norm(self.Ts_piece_tcp[:, :3, 3], axis=1)
 
+def sample_grasps(piece: Workpiece, hands: HandSet, options: SamplingOptions | None = None) -> GraspSet:
+    """All antipodal grasps of `piece` that the hands can close on, whatever is around it: kind after kind.
 
-def sample_grasps(piece: Workpiece, hand: Hand, options: SamplingOptions | None = None) -> GraspSet:
-    """All antipodal grasps of `piece` that `hand` can close on, whatever is around it.
-
-    The set depends on the piece and the hand alone (a grid, no random numbers), so that qualities of orders
+    The set depends on the piece and the hands alone (a grid, no random numbers), so that qualities of orders
     compare."""
     options = options or SamplingOptions()
+    sampled = [_sampled(piece, hand, options) for hand in hands.kinds]
+    Ts, widths, contact = (np.concatenate(parts) for parts in zip(*sampled, strict=True))
+    kinds = np.repeat(np.arange(len(sampled)), [len(widths) for _, widths, _ in sampled])
+    return GraspSet(readonly(Ts), readonly(widths), readonly(contact), readonly(kinds, int))
+
+
+def _sampled(piece: Workpiece, hand: Hand, options: SamplingOptions) -> tuple[Array, Array, Array]:
+    """T_piece_tcp (n, 4, 4), widths (n,) [m] and contact (n,) of the grasps by one hand."""
     friction = np.sqrt(piece.friction * hand.pad_friction)
     widest = hand.opening - 2 * options.opening_margin
     transforms, widths, contacts = [], [], []
@@ -82,11 +90,7 @@ def sample_grasps(piece: Workpiece, hand: Hand, options: SamplingOptions | None 
                     transforms.append(transform)
                     widths.append(width)
                     contacts.append(part)
-    return GraspSet(
-        readonly(np.array(transforms).reshape(-1, 4, 4)),
-        readonly(np.array(widths)),
-        readonly(np.array(contacts)),
-    )
+    return np.array(transforms).reshape(-1, 4, 4), np.array(widths), np.array(contacts)
 
 
 def _orientation(facet: Facet, roll: float) -> Array:

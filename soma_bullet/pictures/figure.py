@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from soma_bullet.assembly.model import Assembly
-from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.pictures.raster import Color
 from soma_bullet.pictures.sheet import DPI, INK, QUIET, Sheet, format_of
 from soma_bullet.pictures.still import GREEN, GROUPS, RED, Scene, StepStills
@@ -42,7 +42,7 @@ CAPTION = 0.62  # [in] of legend and caption
 
 def draw_orders(
     assembly: Assembly,
-    hand: Hand,
+    hands: HandSet,
     plan: AssemblyPlan,
     path: Path | str,
     rows: int = 6,
@@ -60,7 +60,7 @@ def draw_orders(
     shown = best_rows(plan, rows)
     layout = Layout(len(assembly.pieces), tuple(not row.feasible for row in shown))
     side = round(layout.cell * DPI)
-    stills = StepStills(assembly, hand, qualities or Qualities(assembly, hand, plan.options), side, side)
+    stills = StepStills(assembly, qualities or Qualities(assembly, hands, plan.options), side, side)
     sheet = Sheet(layout.width, layout.height)
     if layout.lines == 1:
         for group in GROUPS:
@@ -266,7 +266,7 @@ def _legend(sheet: Sheet, layout: Layout, assembly: Assembly, plan: AssemblyPlan
     )
     caption = (
         f"{assembly.name}: {some} by rank; stability as in {plan.options.stability} mode; "
-        f"hand {plan.hand}, {plan.options.hands} hands; "
+        f"hand {plan.named_hands}, {plan.options.hands} hands; "
         f"score = min S × min G × min A, with S "
         f"{'of what stands, nothing held' if bare else 'with the holds'}"
     )

@@ -11,7 +11,6 @@ import numpy as np
 
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, Indices
-from soma_bullet.grasp.hand import Hand
 from soma_bullet.pictures.raster import Body, Camera, Color, Pixels, fit_camera
 from soma_bullet.pictures.shade import faded, render
 from soma_bullet.pictures.shapes import (
@@ -49,7 +48,7 @@ class Scene:
 
 @dataclass
 class StepStills:
-    """Stills of one assembly and one hand, all seen from one side; those that orders share are rendered once.
+    """Stills of one assembly and its hands, all from one side; those that orders share are rendered once.
 
     Attributes:
         width, height: of a still [pixels].
@@ -58,7 +57,6 @@ class StepStills:
     """
 
     assembly: Assembly
-    hand: Hand
     qualities: Qualities
     width: int
     height: int
@@ -112,15 +110,15 @@ class StepStills:
         return tuple(piece_body(self.assembly, k) for k in sorted(placed))
 
     def _hands(self, piece: int, grasps: Indices, color: Color, count: int) -> list[Body]:
-        table = self.qualities.grasps(piece)
+        table, kinds = self.qualities.grasps(piece), self.qualities.hands.kinds
         Ts = self.assembly.goals[piece] @ table.Ts_piece_tcp[grasps]
         to_camera = np.array((np.cos(self.azimuth), np.sin(self.azimuth), np.tan(ELEVATION))) * np.cos(
             ELEVATION
         )
         reach = REACH * self.size
         return [
-            hand_body(self.hand, Ts[i], float(table.widths[grasps[i]]), color, GLASS, reach)
-            for i in spread_grasps(Ts, count, to_camera)
+            hand_body(kinds[table.kinds[k]], Ts[i], float(table.widths[k]), color, GLASS, reach)
+            for i, k in ((i, grasps[i]) for i in spread_grasps(Ts, count, to_camera))
         ]
 
     def _gripped(self, piece: int, before: frozenset[int]) -> Scene:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from soma_bullet.frames import Array
+from soma_bullet.frames import Array, Indices
 from soma_bullet.planner.assist import HoldCertificate
 from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.orders import OrderRow
@@ -12,19 +12,21 @@ from soma_bullet.planner.orders import OrderRow
 
 @dataclass(frozen=True, eq=False)
 class GraspTable:
-    """Grasps of one piece, alone in the air.
+    """Grasps of one piece, alone in the air, by every kind of hand that an arm has.
 
     Attributes:
         piece: its name.
         poses: T_piece_tcp as position [m] and quat_xyzw (n, 7).
         widths: (n,) [m].
         contact: fraction of the pad on the piece (n,).
+        kinds: kind of the hand (n,), as in `AssemblyPlan.hand_kinds`.
     """
 
     piece: str
     poses: Array
     widths: Array
     contact: Array
+    kinds: Indices
 
 
 @dataclass(frozen=True)
@@ -112,7 +114,8 @@ class AssemblyPlan:
 
     Attributes:
         assembly, digest: name and content hash of the input.
-        hand: name of the hand.
+        hands: name of each arm's hand, in the order of the arms.
+        hand_kinds: kind of each arm's hand, as in the grasp tables; equal hands are of one kind.
         options: how it was judged.
         order: names of the pieces, first to last.
         score: of the order.
@@ -131,7 +134,8 @@ class AssemblyPlan:
 
     assembly: str
     digest: str
-    hand: str
+    hands: tuple[str, ...]
+    hand_kinds: tuple[int, ...]
     options: PlannerOptions
     order: tuple[str, ...]
     score: float
@@ -145,3 +149,8 @@ class AssemblyPlan:
     passed_over: tuple[str, ...]
     sensitivity: tuple[Sensitivity, ...]
     versions: dict[str, str]
+
+    @property
+    def named_hands(self) -> str:
+        """The names of the different hands, in the order of the arms, for people."""
+        return " and ".join(dict.fromkeys(self.hands))

@@ -28,7 +28,7 @@ class Holds:
         self.refused: set[tuple[Placed, int, int | None]] = (
             set()
         )  # (placed, held piece, upcoming) that no grasp can take
-        self._later: dict[Placed, bool] = {}
+        self._serving: dict[tuple[Placed, Placed], bool] = {}
         self._judged: dict[tuple[Placed, Placed], Judgement] = {}
         self._holdable: dict[tuple[Placed, int | None, Placed], bool] = {}
         self._after: dict[tuple[Placed, int, Placed, int | None], tuple[Support, ...]] = {}
@@ -62,10 +62,10 @@ class Holds:
         key = (before, piece, held, upcoming)
         if key not in self._after:
             placed, most = before | {piece}, self.hands - 1 if upcoming is not None else 0
-            if self.judge(placed).stands and not self._needed_later(placed):
-                most = 0  # nothing to hold on for
             reached = [
-                kept for kept in self._reachable(placed, held | {piece}, upcoming) if len(kept) <= most
+                kept
+                for kept in self._reachable(placed, held | {piece}, upcoming)
+                if len(kept) <= most and self._serves(placed, upcoming, kept)
             ]
             self._after[key] = tuple(
                 self._support(placed, piece, held, kept)
@@ -93,16 +93,27 @@ class Holds:
                     stack.append(option)
         return seen if self.judge(placed, start).stands else seen - {start}
 
-    def _needed_later(self, placed: Placed) -> bool:
-        """Whether some state with more pieces cannot do without a hand; taken for granted where there are too
-        many to ask."""
-        if placed not in self._later:
-            left = [piece for piece in range(self.count) if piece not in placed]
-            self._later[placed] = self.count > MOST_ASKED or any(
-                not self.judge(placed | {piece}).stands or self._needed_later(placed | {piece})
-                for piece in left
-            )
-        return self._later[placed]
+    def _serves(self, placed: Placed, upcoming: int | None, held: Placed) -> bool:
+        """Whether a hold has a purpose: now, or in the first later state that cannot do without a hand."""
+        if not held or not self.judge(placed).stands:
+            return True
+        return upcoming is not None and self._serves_later(placed | {upcoming}, held)
+
+    def _serves_later(self, placed: Placed, held: Placed) -> bool:
+        """Whether a hold can be needed in a state, or in what follows while the states stand by themselves.
+
+        One spare hand helps only a state that stands with just that piece held. Taken for granted where there
+        are too many states to ask, and at the first that needs hands where more of them are to spare."""
+        if self.count > MOST_ASKED:
+            return True
+        key = (placed, held)
+        if key not in self._serving:
+            if self.judge(placed).stands:
+                left = (piece for piece in range(self.count) if piece not in placed)
+                self._serving[key] = any(self._serves_later(placed | {piece}, held) for piece in left)
+            else:
+                self._serving[key] = self.hands > 2 or self.judge(placed, held).stands
+        return self._serving[key]
 
     def _support(self, placed: Placed, piece: int, before: Placed, held: Placed) -> Support:
         judgement = self.judge(placed, held)

@@ -16,6 +16,7 @@ from soma_bullet.planner.search import (
     FREE,
     NOTHING,
     Followed,
+    Search,
     Support,
     best_orders,
     follow,
@@ -148,18 +149,19 @@ class Orders:
         # paper Sec. III and IV-G: the assisting hand stays away, and raw s counts
         return [self._row(item, raw=True) for item in followed]
 
-    def best_rows(self, count: int) -> tuple[list[OrderRow], int]:
-        """The best orders, best first, without the others; and how many labels the search made."""
+    def best_rows(self, count: int) -> tuple[list[OrderRow], Search]:
+        """The best orders, best first, without the others; and the search that found them."""
+        most = self.q.options.labels
         if self.paper:
             self.raw_only = True
-            found, labels = best_orders(self, count, self.bound)
-            if found:
-                return [
-                    self._row(Followed(f.order, (0.0, FREE, f.held, f.s), True), raw=True) for f in found
-                ], labels
+            search = best_orders(self, count, self.bound, most)
+            if search.found:
+                raw = (Followed(f.order, (0.0, FREE, f.held, f.s), True) for f in search.found)
+                return [self._row(item, raw=True) for item in raw], search
             self.raw_only = False
-        found, labels = best_orders(self, count, self.bound)
-        return [self._row(Followed(f.order, (f.minima[0], f.cost, f.held, f.s), True)) for f in found], labels
+        search = best_orders(self, count, self.bound, most)
+        followed = (Followed(f.order, (f.minima[0], f.cost, f.held, f.s), True) for f in search.found)
+        return [self._row(item) for item in followed], search
 
     def row(self, order: Sequence[int]) -> OrderRow:
         """The row of one order (indices of the pieces)."""

@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import dataclass
 
 import numpy as np
 
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError, NoSolutionError
 from soma_bullet.frames import to_quat_xyzw
-from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.planner.assembly_plan import (
     AssemblyPlan,
     GraspTable,
@@ -44,7 +45,7 @@ class NoPlanError(NoSolutionError):
 
 def make_plan(
     assembly: Assembly,
-    hand: Hand,
+    hands: HandSet,
     options: PlannerOptions | None = None,
     excluded: frozenset[tuple[str, ...]] = frozenset(),
     qualities: Qualities | None = None,
@@ -52,8 +53,9 @@ def make_plan(
     """Find the best order, with all that a dual-arm task needs.
 
     Args:
+        hands: those of the arms.
         excluded: orders that a later stage found impossible.
-        qualities: of the same assembly, hand and options, to share what was evaluated.
+        qualities: of the same assembly, hands and options, to share what was evaluated.
 
     Raises:
         InputError: the finished assembly cannot stand, or an analyzer is not known.
@@ -61,7 +63,7 @@ def make_plan(
     """
     options = (options or PlannerOptions()).with_hands()
     options.check()
-    qualities = qualities or Qualities(assembly, hand, options)
+    qualities = qualities or Qualities(assembly, hands, options)
     orders = Orders(qualities)
     _check_final(assembly, orders)
     refusals: list[str] = []
@@ -80,14 +82,12 @@ def _plan(
     orders: Orders, options: PlannerOptions, excluded: frozenset[tuple[str, ...]], refusals: list[str]
 ) -> AssemblyPlan:
     qualities, assembly = orders.q, orders.q.assembly
-    ranked, optimality = _ranked(orders, options.top, excluded)
+    ranking = _ranked(orders, options.top, excluded)
+    ranked = ranking.rows
     candidates = [row for row in ranked if row.feasible and row.score > 0 and row.order not in excluded]
     if not candidates:
         reasons = Counter(row.reason or "score 0" for row in ranked if row.order not in excluded)
-        what = f"none of the {len(ranked)} orders" if ranked else "no order"
-        raise NoPlanError(
-            f"{what} of {assembly.name} can be built", reasons + Counter(refusals), tuple(ranked)
-        )
+        raise NoPlanError(ranking.failure, reasons + Counter(refusals), tuple(ranked))
     ties = [row for row in candidates if math.isclose(row.score, candidates[0].score, rel_tol=1e-9)]
     easiest = _easiest(ties)
     first = easiest[picked(options.seed, len(easiest))]
@@ -109,7 +109,8 @@ def _plan(
     return AssemblyPlan(
         assembly=assembly.name,
         digest=assembly.digest,
-        hand=qualities.hand.name,
+        hands=qualities.hands.names,
+        hand_kinds=qualities.hands.arms,
         options=options,
         order=chosen.order,
         score=chosen.score,
@@ -117,7 +118,7 @@ def _plan(
         alternatives=tuple(planned[1:]),
         grasps=tuple(_table(qualities, k) for k in range(len(assembly.pieces))),
         orders=tuple(ranked),
-        optimality=optimality,
+        optimality=ranking.optimality,
         ties=tuple(row.order for row in ties) if len(ties) > 1 else (),
         warnings=(
             *_approximations(assembly),
@@ -147,23 +148,48 @@ def easiest_orders(plan: AssemblyPlan) -> list[tuple[str, ...]]:
     return [row.order for row in _easiest([rows[order] for order in plan.ties or (plan.order,)])]
 
 
-def _ranked(orders: Orders, top: int, excluded: frozenset[tuple[str, ...]]) -> tuple[list[OrderRow], str]:
-    """Rows, best first, and what the search guarantees."""
+@dataclass(frozen=True)
+class _Ranking:
+    """Rows of orders, best first.
+
+    Attributes:
+        optimality: what is guaranteed.
+        failure: what to say where none of them can be built.
+    """
+
+    rows: list[OrderRow]
+    optimality: str
+    failure: str
+
+
+def _ranked(orders: Orders, top: int, excluded: frozenset[tuple[str, ...]]) -> _Ranking:
+    name = orders.q.assembly.name
     if orders.count <= MOST_ENUMERATED:
-        rows = orders.all_rows()
-        return sorted(
-            rows, key=lambda row: (not row.feasible, -row.score)
-        ), f"exact: all {len(rows)} orders were compared"
-    rows, labels = orders.best_rows(max(top, TIES) + len(excluded))
-    how = (
-        f"exact: a search over subsets with {labels} labels; no order scores better, and the best "
-        f"{len(rows)} are listed"
-    )
+        rows = sorted(orders.all_rows(), key=lambda row: (not row.feasible, -row.score))
+        exact = f"exact: all {len(rows)} orders were compared"
+        return _Ranking(rows, exact, f"none of the {len(rows)} orders of {name} can be built")
+    rows, search = orders.best_rows(max(top, TIES) + len(excluded))
+    limit = f"the search over subsets reached its limit of {orders.q.options.labels} labels"
     if rows:
-        return rows, how
+        if search.ended:
+            found = f"a search over subsets with {search.labels} labels"
+            how = f"exact: {found}; no order scores better, and the best {len(rows)} are listed"
+        elif search.proven:
+            how = (
+                f"exact for the best {search.proven}: no order scores better; others may be missing, {limit}"
+            )
+        else:
+            how = f"not proven best: the best of {len(rows)} orders that were found; {limit}"
+        return _Ranking(rows, how, f"none of the {len(rows)} best orders of {name} can be built")
     # every way ends somewhere: say where the ways of some orders do
     samples = np.random.default_rng(0).permuted(np.tile(np.arange(orders.count), (SAMPLES, 1)), axis=1)
-    return [orders.row(tuple(int(k) for k in order)) for order in np.unique(samples, axis=0)], how
+    drawn = [orders.row(tuple(int(k) for k in order)) for order in np.unique(samples, axis=0)]
+    drawn.sort(key=lambda row: (not row.feasible, -row.score))
+    why = f"what rules out {len(drawn)} orders drawn at random"
+    if search.ended:
+        return _Ranking(drawn, "", f"no order of {name} can be built; {why}")
+    how = f"not proven best: the best of {len(drawn)} orders drawn at random; {limit}"
+    return _Ranking(drawn, how, f"no order of {name} was found: {limit} (PlannerOptions.labels); {why}")
 
 
 def _check_final(assembly: Assembly, orders: Orders) -> None:
@@ -224,7 +250,8 @@ def _hold(
     for few in (firmest[:CERTIFIED], firmest[CERTIFIED:]):
         for index in few:
             certificate = certify_hold(
-                assembly, qualities.hand, placed, piece, assembly.goals[piece] @ table.Ts_piece_tcp[index],
+                assembly, qualities.hands.kinds[table.kinds[index]], placed, piece,
+                assembly.goals[piece] @ table.Ts_piece_tcp[index],
                 "dropped" if verdict == "robust" else "frictionless", upcoming, direction,
                 load, float(table.contact[index]),
             )  # fmt: skip
@@ -269,7 +296,11 @@ def _table(qualities: Qualities, piece: int) -> GraspTable:
     grasps = qualities.grasps(piece)
     poses = np.hstack(to_quat_xyzw(grasps.Ts_piece_tcp))
     return GraspTable(
-        qualities.assembly.names[piece], np.round(poses, 9) + 0.0, np.round(grasps.widths, 9), grasps.contact
+        qualities.assembly.names[piece],
+        np.round(poses, 9) + 0.0,
+        np.round(grasps.widths, 9),
+        grasps.contact,
+        grasps.kinds,
     )
 
 

@@ -13,8 +13,15 @@ from soma_bullet.assembly.contacts import SUPPORT
 from soma_bullet.assembly.hulls import unique_directions
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, Indices, Mask
-from soma_bullet.grasp.clearance import HandSweep, clear_of_piece, clear_of_scene, hands_clear, sweep_hand
-from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.clearance import (
+    OPENING,
+    HandSweep,
+    clear_of_piece,
+    clear_of_scene,
+    hands_clear,
+    sweep_hands,
+)
+from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.grasp.sampling import GraspSet, sample_grasps
 from soma_bullet.planner.assemblability import Assemblability, Rank, analyse_assemblability
 from soma_bullet.planner.equilibrium import StateStability, classify, friction_of
@@ -22,15 +29,17 @@ from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.paper_stability import contact_wrenches, wrench_margin
 
 Placed = frozenset[int]
-FEW = 6  # grasps of either hand that are tried first where one pair is enough
-SPREAD = 12  # grasps of an incoming hand that are tried before all of them
+FEW = 6  # grasps of either hand, of each kind, that are tried first where one pair is enough
+SPREAD = 12  # grasps of an incoming hand, of each kind, that are tried before all of them
 
 
 class Qualities:
-    """S, G and A of every (placed set, piece) of one assembly and one hand; each evaluated at most once."""
+    """S, G and A of every (placed set, piece) of one assembly and the hands of a cell; each evaluated at most
+    once."""
 
-    def __init__(self, assembly: Assembly, hand: Hand, options: PlannerOptions):
-        self.assembly, self.hand, self.options = assembly, hand, options
+    def __init__(self, assembly: Assembly, hands: HandSet, options: PlannerOptions):
+        self.assembly, self.hands, self.options = assembly, hands, options
+        self._supply = hands.at_least(options.hand_count)
         self._paper: dict[tuple[int, Placed, float], float] = {}
         self._stability: dict[tuple[Placed, Placed], StateStability] = {}
         self._grasps: dict[int, GraspSet] = {}
@@ -68,12 +77,14 @@ class Qualities:
         return self._stability[key]
 
     def grasps(self, piece: int) -> GraspSet:
-        """Grasps of `piece` alone in the air: closable, with the hand clear of the piece itself and its way
-        out."""
+        """Grasps of `piece` alone in the air, kind of hand after kind: closable, with the hand clear of the
+        piece itself and its way out."""
         if piece not in self._grasps:
             body = self.assembly.pieces[piece]
-            sampled = sample_grasps(body, self.hand, self.options.sampling)
-            clear = clear_of_piece(self.hand, sampled.Ts_piece_tcp, sampled.widths, body.parts)
+            sampled = sample_grasps(body, self.hands, self.options.sampling)
+            clear = clear_of_piece(
+                self.hands, sampled.kinds, sampled.Ts_piece_tcp, sampled.widths, body.parts
+            )
             self._grasps[piece] = sampled.take(np.flatnonzero(clear))
         return self._grasps[piece]
 
@@ -103,7 +114,7 @@ class Qualities:
         return self._candidates[key]
 
     def graspability(self, piece: int, placed: Placed) -> int:
-        """G: the number of candidate grasps (paper Sec. IV-C)."""
+        """G: the number of candidate grasps, by any hand that some arm has (paper Sec. IV-C)."""
         return len(self.candidates(piece, placed))
 
     def assemblability(self, piece: int, placed: Placed) -> Assemblability:
@@ -167,7 +178,8 @@ class Qualities:
         """Indices of the grasps that may hold a placed piece while the next one comes in (paper Sec. IV-F).
 
         They are accessible, clear of the next piece at its goal and along its whole way in, and clear of the
-        hand that brings it, for at least one of its grasps (the paper leaves hand against hand open)."""
+        hand that brings it, for at least one of its grasps by the hand of another arm (the paper leaves hand
+        against hand open)."""
         key = (piece, placed, upcoming)
         if key not in self._assisting:
             self._assisting[key] = self._find_assisting(piece, placed, upcoming, direction)
@@ -185,8 +197,8 @@ class Qualities:
         )
         if not len(indices) or not len(inserting):
             return False
-        few, some = (chosen[:: max(1, len(chosen) // FEW)] for chosen in (indices, inserting))
-        if hands_clear(self._holding(piece, few), self._arriving(upcoming, some, way)).any():
+        few, some = self._thinned(piece, indices, FEW), self._thinned(upcoming, inserting, FEW)
+        if self._beside(piece, few, upcoming, some, way).any():
             return True
         return bool(len(self.assisting(piece, placed, upcoming, direction)))
 
@@ -212,30 +224,41 @@ class Qualities:
         way = direction * way_length(self.assembly, upcoming, direction)
         indices = self._clear_of_way(piece, placed, upcoming, way)
         inserting, clear = self.candidates(upcoming, placed), np.zeros(len(indices), bool)
-        for few in (
-            inserting[:: max(1, len(inserting) // SPREAD)],
-            inserting,
-        ):  # a few that are spread out mostly suffice
+        # a few that are spread out mostly suffice
+        for few in (self._thinned(upcoming, inserting, SPREAD), inserting):
             left = np.flatnonzero(~clear)
             if not len(left) or not len(few):
                 break
-            arriving = self._arriving(upcoming, few, way)
-            clear[left] = hands_clear(self._holding(piece, indices[left]), arriving).any(axis=1)
+            clear[left] = self._beside(piece, indices[left], upcoming, few, way).any(axis=1)
         return indices[clear]
 
+    def _beside(self, piece: int, holding: Indices, upcoming: int, inserting: Indices, way: Array) -> Mask:
+        """Which grasps (a,) of a placed piece another arm's hand leaves free that brings the next piece along
+        its way (3,) by some grasps (b,): bool (a, b)."""
+        clear = hands_clear(self._holding(piece, holding), self._arriving(upcoming, inserting, way))
+        kinds = self.grasps(piece).kinds[holding], self.grasps(upcoming).kinds[inserting]
+        clear &= self._supply.pairs[np.ix_(*kinds)]
+        return clear
+
+    def _thinned(self, piece: int, indices: Indices, count: int) -> Indices:
+        """About `count` of some grasps of each kind of hand, spread over them."""
+        kinds = self.grasps(piece).kinds[indices]
+        each = (indices[kinds == kind] for kind in range(len(self.hands.kinds)))
+        return np.concatenate([group[:: max(1, len(group) // count)] for group in each])
+
     def together(self, held: Placed, placed: Placed, upcoming: int | None, direction: Array | None) -> bool:
-        """Whether several hands can hold several pieces at once: with grasps clear of each other and of the
-        incoming hand."""
+        """Whether the hands of several arms can hold several pieces at once: with grasps clear of each other
+        and of the incoming hand."""
         pieces = sorted(held)
         chosen = [self.assisting(k, placed, upcoming, direction) for k in pieces]
-        chosen = [indices[:: max(1, len(indices) // (2 * SPREAD))] for indices in chosen]
+        chosen = [self._thinned(k, indices, 2 * SPREAD) for k, indices in zip(pieces, chosen, strict=True)]
         sweeps = [self._holding(k, indices) for k, indices in zip(pieces, chosen, strict=True)]
         if upcoming is not None and direction is not None:
-            inserting = self.candidates(upcoming, placed)
-            few = inserting[:: max(1, len(inserting) // (2 * SPREAD))]
-            sweeps.append(
-                self._arriving(upcoming, few, direction * way_length(self.assembly, upcoming, direction))
-            )
+            few = self._thinned(upcoming, self.candidates(upcoming, placed), 2 * SPREAD)
+            way = direction * way_length(self.assembly, upcoming, direction)
+            pieces, chosen = [*pieces, upcoming], [*chosen, few]
+            sweeps.append(self._arriving(upcoming, few, way))
+        kinds = [self.grasps(k).kinds[indices] for k, indices in zip(pieces, chosen, strict=True)]
         clear = {
             (i, j): hands_clear(sweeps[i], sweeps[j])
             for i, j in itertools.combinations(range(len(sweeps)), 2)
@@ -245,7 +268,9 @@ class Qualities:
             k = len(picked)
             if k == len(sweeps):
                 return True
-            fits = np.ones(sweeps[k].centres.shape[1], bool)
+            used = [int(kinds[earlier][index]) for earlier, index in enumerate(picked)]
+            allowed = [self._supply.can([*used, kind]) for kind in range(len(self.hands.kinds))]
+            fits = np.array(allowed)[kinds[k]]
             for earlier, index in enumerate(picked):
                 fits &= clear[earlier, k][index]
             return any(extend([*picked, int(index)]) for index in np.flatnonzero(fits))
@@ -254,21 +279,23 @@ class Qualities:
 
     def _holding(self, piece: int, indices: Indices, sweep: Array | None = None) -> HandSweep:
         """The hand as it holds a placed piece with some of its grasps."""
-        chosen = self.grasps(piece).take(indices)
-        return sweep_hand(
-            self.hand,
-            self.assembly.goals[piece] @ chosen.Ts_piece_tcp,
-            chosen.widths,
-            way_out=0.0,
-            sweep=sweep,
-        )
+        return self._swept(piece, self.grasps(piece).take(indices), way_out=0.0, sweep=sweep)
 
     def _arriving(self, piece: int, indices: Indices, way: Array) -> HandSweep:
         """The hand as it brings a piece along its way (3,) [m], lets go and leaves."""
-        chosen = self.grasps(piece).take(indices)
-        return sweep_hand(
-            self.hand, self.assembly.goals[piece] @ chosen.Ts_piece_tcp, chosen.widths, sweep=-way
-        )
+        return self._swept(piece, self.grasps(piece).take(indices), sweep=-way)
+
+    def _swept(
+        self,
+        piece: int,
+        grasps: GraspSet,
+        opening: float = OPENING,
+        way_out: float | None = None,
+        sweep: Array | None = None,
+    ) -> HandSweep:
+        """The hands at grasps of a piece at its goal; see `sweep_hands`."""
+        Ts = self.assembly.goals[piece] @ grasps.Ts_piece_tcp
+        return sweep_hands(self.hands, grasps.kinds, Ts, grasps.widths, opening, way_out, sweep)
 
     def _enters(self, piece: int, other: int, direction: Array) -> Mask:
         """Which grasps of `piece` keep the hand clear of another body all along the insertion of the piece:
@@ -277,11 +304,8 @@ class Qualities:
         if key not in self._entering:
             # a grasp that is not clear at the goal is no candidate anyway
             left = np.flatnonzero(self._clear_of(piece, other) & self._clear_of(piece, SUPPORT))
-            grasps, goal = self.grasps(piece).take(left), self.assembly.goals[piece]
             way = direction * way_length(self.assembly, piece, direction)
-            sweep = sweep_hand(
-                self.hand, goal @ grasps.Ts_piece_tcp, grasps.widths, opening=0.0, way_out=0.0, sweep=-way
-            )
+            sweep = self._swept(piece, self.grasps(piece).take(left), opening=0.0, way_out=0.0, sweep=-way)
             hulls, height = (
                 ((), self.assembly.support.height)
                 if other == SUPPORT
@@ -296,8 +320,7 @@ class Qualities:
         bool (n,)."""
         key = (piece, other)
         if key not in self._clear:
-            grasps, goal = self.grasps(piece), self.assembly.goals[piece]
-            sweep = sweep_hand(self.hand, goal @ grasps.Ts_piece_tcp, grasps.widths)
+            sweep = self._swept(piece, self.grasps(piece))
             if other == SUPPORT:
                 self._clear[key] = clear_of_scene(sweep, (), self.assembly.support.height)
             else:

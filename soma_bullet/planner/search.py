@@ -12,12 +12,15 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
+from soma_bullet.planner.options import LABELS
+
 Placed = frozenset[int]
 NOTHING: Placed = frozenset()
 Cost = tuple[
     int, int, int, int
 ]  # pieces gripped again, pieces held, states that depend on clearance, changes of hold
 FREE: Cost = (0, 0, 0, 0)
+DIVE = 0.1  # of them are kept to complete an order, where none is by then
 
 
 @dataclass(frozen=True)
@@ -79,6 +82,23 @@ class Found:
         return score_of(self.minima)
 
 
+@dataclass(frozen=True)
+class Search:
+    """What a search over labels found.
+
+    Attributes:
+        found: orders, best first.
+        proven: how many of them, from the first on, no other order can beat.
+        labels: how many labels it made.
+        ended: it found as many as were asked for, or all there are; otherwise the labels ran out.
+    """
+
+    found: tuple[Found, ...]
+    proven: int
+    labels: int
+    ended: bool
+
+
 def _added(first: Cost, second: Cost) -> Cost:
     return (first[0] + second[0], first[1] + second[1], first[2] + second[2], first[3] + second[3])
 
@@ -87,6 +107,7 @@ _Holds = tuple[float, Cost, tuple[Placed, ...], tuple[float, ...]]  # min S, cos
 
 
 Supports = Callable[[Placed, int, Placed, int | None], tuple[Support, ...]]  # see Steps.supports
+Bound = Callable[[Placed], tuple[float, ...]]  # of the minima that any completion of a placed set can reach
 
 
 def pareto_holds(
@@ -169,52 +190,108 @@ def follow_all(steps: Steps) -> Iterator[Followed]:
     yield from extend((), START, None)
 
 
-def best_orders(
-    steps: Steps, count: int, bound: Callable[[Placed], tuple[float, ...]] | None = None
-) -> tuple[list[Found], int]:
-    """The `count` best orders (fewer where fewer are possible), best first, and how many labels it took.
+def best_orders(steps: Steps, count: int, bound: Bound | None = None, most: int = LABELS) -> Search:
+    """The `count` best orders, fewer where fewer are possible.
 
     Exact: labels leave a queue in the order of their score, which no later step can raise; a label is dropped
-    only where `count` others reach the same situation with no smaller minimum and no larger cost.
+    only where `count` others reach the same situation with no smaller minimum and no larger cost. Where the
+    labels run low before any order is complete, those with the most pieces leave the queue first.
 
     Args:
         bound: upper bounds of the minima that any completion of a placed set can still reach.
+        most: labels that the search may make.
     """
-    queue: list[tuple[float, Cost, tuple[int, ...], list[list[int]], int]] = []
-    labels: list[tuple[Found, Placed]] = []
-    kept: dict[tuple[Placed, int, Placed], list[tuple[tuple[float, ...], Cost, tuple[int, ...]]]] = {}
+    frontier = _Frontier(steps, count, bound)
+    for piece in range(steps.count):
+        minima = (math.inf, *steps.insertion(NOTHING, piece))
+        frontier.push(Found((piece,), (), (), minima, FREE), NOTHING)
     found: dict[tuple[int, ...], Found] = {}
+    while frontier.queue and len(found) < count and frontier.made < most:
+        if not frontier.deepest_first and not frontier.complete and frontier.made > (1 - DIVE) * most:
+            frontier.turn_deepest_first()
+        label, held = frontier.pop()
+        if frontier.whole(label):
+            found.setdefault(label.order, label)
+        else:
+            frontier.grow(label, held)
+    proven = 0 if frontier.deepest_first and frontier.queue else len(found)
+    ended = not frontier.queue or (len(found) >= count and proven > 0)
+    for label in frontier.waiting() if not ended else []:
+        found.setdefault(label.order, label)
+    ranked = sorted(found.values(), key=_rank)[:count]
+    return Search(tuple(ranked), proven, frontier.made, ended)
 
-    def push(label: Found, held: Placed, done: bool) -> None:
-        placed = frozenset(label.order)
-        if not done:
-            others = kept.setdefault((placed, label.order[-1], held), [])
+
+def _rank(label: Found) -> tuple[float, Cost, tuple[int, ...], list[list[int]]]:
+    """What comes first of orders that are whole."""
+    return -label.score, label.cost, label.order, [sorted(held) for held in label.held]
+
+
+class _Frontier:
+    """The labels of a search that wait to grow, the most promising first.
+
+    Attributes:
+        queue: labels by their rank and number.
+        made: labels that ever waited.
+        complete: how many of them are whole orders.
+        deepest_first: those with the most pieces come first.
+    """
+
+    def __init__(self, steps: Steps, count: int, bound: Bound | None):
+        self.steps, self.count, self.bound = steps, count, bound
+        self.queue: list[tuple[int, float, Cost, tuple[int, ...], list[list[int]], int]] = []
+        self.made = self.complete = 0
+        self.deepest_first = False
+        self._labels: dict[int, tuple[Found, Placed]] = {}  # by their number
+        self._kept: dict[
+            tuple[Placed, int, Placed], list[tuple[tuple[float, ...], Cost, tuple[int, ...]]]
+        ] = {}
+
+    def whole(self, label: Found) -> bool:
+        """Whether all pieces are placed, and the last one let go."""
+        return len(label.held) == self.steps.count
+
+    def push(self, label: Found, held: Placed) -> None:
+        """A label waits, unless enough others are at least as good or nothing can become of it."""
+        placed, minima = frozenset(label.order), label.minima
+        if not self.whole(label):
+            others = self._kept.setdefault((placed, label.order[-1], held), [])
             better = {
                 order for minima, cost, order in others
                 if cost <= label.cost and all(a >= b for a, b in zip(minima, label.minima, strict=True))
             }  # fmt: skip
-            if len(better) >= count or label.order in better:
+            if len(better) >= self.count or label.order in better:
                 return
             others.append((label.minima, label.cost, label.order))
-        minima = label.minima
-        if bound is not None and not done:
-            minima = tuple(min(a, b) for a, b in zip(minima, bound(placed), strict=True))
+            if self.bound is not None:
+                minima = tuple(min(a, b) for a, b in zip(minima, self.bound(placed), strict=True))
         score = score_of(minima)
         if score > 0.0:
-            labels.append((label, held))
-            heapq.heappush(
-                queue, (-score, label.cost, label.order, [sorted(h) for h in label.held], len(labels) - 1)
-            )
+            self._labels[self.made] = label, held
+            depth = -len(label.held) if self.deepest_first else 0
+            way = [sorted(pieces) for pieces in label.held]
+            heapq.heappush(self.queue, (depth, -score, label.cost, label.order, way, self.made))
+            self.made += 1
+            self.complete += self.whole(label)
 
-    for piece in range(steps.count):
-        push(Found((piece,), (), (), (math.inf, *steps.insertion(NOTHING, piece)), FREE), NOTHING, False)
-    while queue and len(found) < count:
-        *_, index = heapq.heappop(queue)
-        label, held = labels[index]
-        if len(label.held) == steps.count:
-            found.setdefault(label.order, label)
-            continue
-        placed, piece = frozenset(label.order[:-1]), label.order[-1]
+    def pop(self) -> tuple[Found, Placed]:
+        """The first label that waits, and what is held when its last piece comes."""
+        *_, number = heapq.heappop(self.queue)
+        return self._labels.pop(number)
+
+    def waiting(self) -> list[Found]:
+        """The whole orders that wait, in the order of their rank."""
+        return sorted((label for label, _ in self._labels.values() if self.whole(label)), key=_rank)
+
+    def turn_deepest_first(self) -> None:
+        """From now on what has the most pieces grows first."""
+        self.deepest_first = True
+        self.queue = [(-len(self._labels[entry[-1]][0].held), *entry[1:]) for entry in self.queue]
+        heapq.heapify(self.queue)
+
+    def grow(self, label: Found, held: Placed) -> None:
+        """All that can come next after a label."""
+        steps, placed, piece = self.steps, frozenset(label.order[:-1]), label.order[-1]
         for upcoming in [k for k in range(steps.count) if k not in label.order] or [None]:  # type: ignore[list-item]
             inserted = () if upcoming is None else steps.insertion(placed | {piece}, upcoming)
             if 0.0 in inserted:
@@ -227,5 +304,4 @@ def best_orders(
                 order = label.order if upcoming is None else (*label.order, upcoming)
                 cost = _added(label.cost, support.cost)
                 grown = Found(order, (*label.held, support.held), (*label.s, support.quality), smallest, cost)
-                push(grown, support.held, upcoming is None)
-    return list(found.values()), len(labels)
+                self.push(grown, support.held)

@@ -20,7 +20,7 @@ MOST_TIES = 6
 def explain_plan(plan: AssemblyPlan) -> Tree:
     """The whole explanation of a plan."""
     tree = Tree(
-        f"[bold]{escape(plan.assembly)}[/], {plan.options.stability} mode, {plan.hand}, "
+        f"[bold]{escape(plan.assembly)}[/], {plan.options.stability} mode, {plan.named_hands}, "
         f"{plan.options.hands} hands"
     )
     tree.add(escape(plan.optimality))

@@ -15,6 +15,7 @@ import numpy as np
 from soma_bullet.errors import InputError
 from soma_bullet.frames import Array, readonly
 from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.hand_set import HandSet
 
 
 @dataclass(frozen=True)
@@ -156,6 +157,11 @@ class Cell:
             if arm.name == name:
                 return arm
         raise InputError(self.name, f"has no arm {name!r}; it has {', '.join(arm.name for arm in self.arms)}")
+
+    @cached_property
+    def hands(self) -> HandSet:
+        """The arms' hands, in the order of the arms."""
+        return HandSet.of([arm.hand for arm in self.arms])
 
     @cached_property
     def joint_names(self) -> tuple[str, ...]:

@@ -13,10 +13,10 @@ from soma_bullet.assembly.resting import steady_poses
 from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import Array, apply, make_transform, readonly, rotation_about
-from soma_bullet.grasp.clearance import SUPPORT_MARGIN, sweep_hand
-from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.clearance import SUPPORT_MARGIN, sweep_hands
+from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.planner.assembly_plan import AssemblyPlan
-from soma_bullet.planner.tables import grasp_poses
+from soma_bullet.planner.tables import grasp_poses, grasp_table
 from soma_bullet.robot.model import Cell
 from soma_bullet.seeds import stream
 from soma_bullet.sizes import Sizes
@@ -64,7 +64,7 @@ class Feed:
 
 
 def serving_grasps(
-    assembly: Assembly, plan: AssemblyPlan, hand: Hand, name: str, T_plane_piece: Array
+    assembly: Assembly, plan: AssemblyPlan, hands: HandSet, name: str, T_plane_piece: Array
 ) -> Array:
     """Indices of the grasps of a piece that serve at its goal (and while it is held) and with the piece
     resting on a plane."""
@@ -75,18 +75,19 @@ def serving_grasps(
             indices &= set(hold.grasps)
     candidates = np.array(sorted(indices), int)
     poses, widths = grasp_poses(plan, name)
-    sweep = sweep_hand(hand, T_plane_piece @ poses[candidates], widths[candidates])
+    kinds = grasp_table(plan, name).kinds[candidates]
+    sweep = sweep_hands(hands, kinds, T_plane_piece @ poses[candidates], widths[candidates])
     return candidates[sweep.above(0.0) > SUPPORT_MARGIN]
 
 
-def preferred_resting_pose(assembly: Assembly, plan: AssemblyPlan, hand: Hand, name: str) -> Array:
+def preferred_resting_pose(assembly: Assembly, plan: AssemblyPlan, hands: HandSet, name: str) -> Array:
     """T_plane_piece (4, 4) of the steady resting pose with the most grasps that also serve at the goal.
 
     Raises:
         NoSolutionError: the piece has no resting pose.
     """
     poses = _resting(assembly, name)
-    return poses[int(np.argmax([len(serving_grasps(assembly, plan, hand, name, pose)) for pose in poses]))]
+    return poses[int(np.argmax([len(serving_grasps(assembly, plan, hands, name, pose)) for pose in poses]))]
 
 
 def _resting(assembly: Assembly, name: str) -> Array:
@@ -107,7 +108,7 @@ def draw_feed(
     """
     options = options or FeedOptions()
     apart = Sizes.of([piece.radius for piece in assembly.pieces]).apart
-    hand = cell.arms[0].hand
+    hands = cell.hands
     if options.layout == "rows":
         return _rows(assembly, plan, cell, seed, options)
     rng = stream(seed, "feed")
@@ -117,11 +118,11 @@ def draw_feed(
     poses, overlaps, needed = [], 0, 0
     for name in assembly.names:
         if options.poses == "preferred":
-            rest = preferred_resting_pose(assembly, plan, hand, name)
+            rest = preferred_resting_pose(assembly, plan, hands, name)
         else:
             resting = _resting(assembly, name)
             rest = resting[rng.integers(len(resting))]
-        needed += not len(serving_grasps(assembly, plan, hand, name, rest))
+        needed += not len(serving_grasps(assembly, plan, hands, name, rest))
         piece = assembly.pieces[assembly.index(name)]
         while True:
             area = areas[rng.choice(len(areas), p=sizes / sizes.sum())]
@@ -144,16 +145,16 @@ def draw_feed(
 
 def _rows(assembly: Assembly, plan: AssemblyPlan, cell: Cell, seed: int, options: FeedOptions) -> Feed:
     """The pieces in the order of the plan, spread evenly over the feed areas in turn."""
-    hand, areas = cell.arms[0].hand, cell.feed_areas
+    hands, areas = cell.hands, cell.feed_areas
     poses = {}
     for k, name in enumerate(plan.order):
         area = areas[k % len(areas)]
         column, columns = k // len(areas), -(-len(plan.order) // len(areas))
         place = (area[0, 0] + (column + 0.5) / columns * (area[0, 1] - area[0, 0]), area[1].mean(), 0.0)
-        poses[name] = make_transform(translation=place) @ preferred_resting_pose(assembly, plan, hand, name)
+        poses[name] = make_transform(translation=place) @ preferred_resting_pose(assembly, plan, hands, name)
     placed = readonly(np.array([poses[name] for name in assembly.names]))
     needed = sum(
-        not len(serving_grasps(assembly, plan, hand, *item))
+        not len(serving_grasps(assembly, plan, hands, *item))
         for item in zip(assembly.names, placed, strict=True)
     )
     return Feed(assembly.names, placed, 0, needed, seed, options.noise, options.square)

@@ -167,7 +167,7 @@ def _trial(placements: tuple[Placement, ...], clearance: float) -> Trial:
     assembly = assembly_of(placements, clearance)
     everything = frozenset(range(len(placements)))
     state = classify(assembly, everything)
-    qualities = Qualities(assembly, _cell().arms[0].hand, PlannerOptions(stability="paper"))
+    qualities = Qualities(assembly, _cell().hands, PlannerOptions(stability="paper"))
     paper = min(qualities.paper_stability(piece, everything) for piece in everything)
     standing = stands(assembly, everything, _cell())
     return Trial(

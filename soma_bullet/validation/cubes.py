@@ -16,7 +16,7 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.assembly.packings import draw_soma_cubes, sides_down, soma_cube
 from soma_bullet.assembly.polycubes import cube_rotations
 from soma_bullet.errors import SomaBulletError
-from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.plan import make_plan
 from soma_bullet.planner.qualities import Qualities
@@ -27,8 +27,8 @@ QUANTILES = "smallest, quartiles, largest"
 
 
 @cache
-def _hand() -> Hand:
-    return find_hand(HAND)
+def _hands() -> HandSet:
+    return HandSet.alike(find_hand(HAND))
 
 
 @dataclass(frozen=True)
@@ -78,13 +78,11 @@ class CubeTurns:
 def plan_cube(number: int) -> CubePlan:
     """Plan one of the 240 in the orientation that it is found in."""
 
-    cube, hand = (
-        soma_cube(number),
-        _hand(),
-    )  # pieces shared with the other cubes: their facets and parts are made once
+    # pieces shared with the other cubes: their facets and parts are made once
+    cube, hands = soma_cube(number), _hands()
     start, cpu = time.perf_counter(), time.process_time()
     try:
-        plan = make_plan(cube, hand)
+        plan = make_plan(cube, hands)
     except SomaBulletError as error:
         return CubePlan(
             number, time.perf_counter() - start, time.process_time() - cpu, failure=_first_reasons(str(error))
@@ -119,7 +117,7 @@ def stable_order(cube: Assembly, grasps: bool = False) -> tuple[int, ...] | None
         grasps: every piece must have a grasp when it goes in.
     """
 
-    qualities, dead = Qualities(cube, _hand(), PlannerOptions()), set()
+    qualities, dead = Qualities(cube, _hands(), PlannerOptions()), set()
     qualities.grasps = _soma_qualities().grasps  # type: ignore[method-assign]  # of a piece alone: the same in every cube
     from_top = [int(k) for k in (-cube.goal_centres[:, 2]).argsort(kind="stable")]
 
@@ -147,7 +145,7 @@ def stable_order(cube: Assembly, grasps: bool = False) -> tuple[int, ...] | None
 @cache
 def _soma_qualities() -> Qualities:
 
-    return Qualities(soma_cube(0), _hand(), PlannerOptions())
+    return Qualities(soma_cube(0), _hands(), PlannerOptions())
 
 
 def survey_cubes(

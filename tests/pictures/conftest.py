@@ -9,6 +9,7 @@ import pytest
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.grasp.hand import Hand, load_hand
+from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.plan import make_plan
@@ -28,4 +29,4 @@ def hand() -> Hand:
 
 @pytest.fixture(scope="session")
 def plan(soma3: Assembly, hand: Hand) -> AssemblyPlan:
-    return make_plan(soma3, hand, PlannerOptions(stability="paper"))
+    return make_plan(soma3, HandSet.alike(hand), PlannerOptions(stability="paper"))

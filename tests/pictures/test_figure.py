@@ -14,13 +14,17 @@ import pytest
 
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError
-from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.hand import Hand, load_hand
+from soma_bullet.grasp.hand_set import HandSet
+from soma_bullet.pictures import still
 from soma_bullet.pictures.figure import Layout, best_rows, draw_orders, minima, number
 from soma_bullet.pictures.shapes import hand_body, spread_grasps
 from soma_bullet.pictures.still import GROUPS, Scene, StepStills
 from soma_bullet.planner.assembly_plan import AssemblyPlan
+from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.qualities import Qualities
 
+ROOT = Path(__file__).resolve().parents[2]
 SVG = "{http://www.w3.org/2000/svg}"
 
 
@@ -90,7 +94,7 @@ def test_the_chosen_order_is_always_shown(plan: AssemblyPlan) -> None:
 def test_all_of_the_plan_stands_in_the_figure(
     soma3: Assembly, hand: Hand, plan: AssemblyPlan, tmp_path: Path
 ) -> None:
-    texts, ids = read(draw_orders(soma3, hand, plan, tmp_path / "orders.svg"))
+    texts, ids = read(draw_orders(soma3, HandSet.alike(hand), plan, tmp_path / "orders.svg"))
     assert len([name for name in ids if re.fullmatch(r"still-\d-\w+-\d", name)]) == 6 * 4 * 3
     for row in plan.orders:
         for value in (*row.s, *row.g, *row.a):
@@ -113,7 +117,7 @@ def test_all_of_the_plan_stands_in_the_figure(
 def test_the_minima_of_each_order_are_framed(
     soma3: Assembly, hand: Hand, plan: AssemblyPlan, tmp_path: Path
 ) -> None:
-    _, ids = read(draw_orders(soma3, hand, plan, tmp_path / "orders.svg", rows=2))
+    _, ids = read(draw_orders(soma3, HandSet.alike(hand), plan, tmp_path / "orders.svg", rows=2))
     framed = sorted(name for name in ids if name.startswith("minimum-0"))
     assert framed == [
         "minimum-0-assemblability-0-3",
@@ -137,7 +141,9 @@ def test_an_order_that_cannot_be_built_says_why(
         g=(0, 0, 0),
     )
     texts, _ = read(
-        draw_orders(soma3, hand, replace(plan, orders=(plan.orders[0], lost)), tmp_path / "orders.svg")
+        draw_orders(
+            soma3, HandSet.alike(hand), replace(plan, orders=(plan.orders[0], lost)), tmp_path / "orders.svg"
+        )
     )
     assert "cannot be built: Z has no straight way in" in texts
     assert "infeasible" in texts
@@ -145,11 +151,11 @@ def test_an_order_that_cannot_be_built_says_why(
 
 def test_another_format_is_refused(soma3: Assembly, hand: Hand, plan: AssemblyPlan, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"\.png, \.svg, \.pdf"):
-        draw_orders(soma3, hand, plan, tmp_path / "orders.gif", rows=1)
+        draw_orders(soma3, HandSet.alike(hand), plan, tmp_path / "orders.gif", rows=1)
 
 
 def test_stills_show_pieces_and_hands(soma3: Assembly, hand: Hand, plan: AssemblyPlan) -> None:
-    stills = StepStills(soma3, hand, Qualities(soma3, hand, plan.options), 80, 80)
+    stills = StepStills(soma3, Qualities(soma3, HandSet.alike(hand), plan.options), 80, 80)
     (scenes,) = stills.frame(plan.orders[:1])
     assert [len(scene.bodies) for scene in scenes["stability"]] == [1, 2, 3]
     for step, scene in enumerate(scenes["graspability"]):
@@ -161,6 +167,20 @@ def test_stills_show_pieces_and_hands(soma3: Assembly, hand: Hand, plan: Assembl
     red = (picture[..., 0] > picture[..., 1].astype(int) + 60) & (picture[..., 3] > 0)
     assert red.mean() > 0.02
     assert stills.image(scenes["assisting"][0]) is picture
+
+
+def test_each_grasp_is_drawn_with_its_own_hand(
+    soma3: Assembly, hand: Hand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    small = load_hand(ROOT / "tests/data/mixed_pair/hand.toml")
+    judge = Qualities(soma3, HandSet.of([hand, small]), PlannerOptions())
+    drawn: list[Hand] = []
+    monkeypatch.setattr(still, "hand_body", lambda shown, *_: drawn.append(shown))
+    for kind in range(2):
+        chosen = np.flatnonzero(judge.grasps(0).kinds == kind)
+        StepStills(soma3, judge, 80, 80)._hands(0, chosen, (0.0, 1.0, 0.0), 3)
+        assert drawn and set(shown.name for shown in drawn) == {judge.hands.kinds[kind].name}
+        drawn.clear()
 
 
 def test_a_drawn_hand_ends_where_it_is_cut(hand: Hand) -> None:
@@ -184,6 +204,8 @@ def test_drawn_grasps_are_few_and_differ() -> None:
 def test_the_whole_figure_is_deterministic(
     ending: str, soma3: Assembly, hand: Hand, plan: AssemblyPlan, tmp_path: Path
 ) -> None:
-    first, second = (draw_orders(soma3, hand, plan, tmp_path / f"{k}.{ending}").read_bytes() for k in "ab")
+    first, second = (
+        draw_orders(soma3, HandSet.alike(hand), plan, tmp_path / f"{k}.{ending}").read_bytes() for k in "ab"
+    )
     assert first == second
     assert ending != "png" or len(first) < 600_000

@@ -21,6 +21,7 @@ from soma_bullet.assembly.packings import (
 )
 from soma_bullet.frames import Array, apply
 from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.plan import NoPlanError, make_plan
 
@@ -81,7 +82,7 @@ def test_the_check_of_cells_sees_what_is_in_the_way() -> None:
 @pytest.fixture(scope="module")
 def planned(hand: Hand) -> AssemblyPlan:
     """The cube of the examples."""
-    return make_plan(load_assembly("cube"), hand)
+    return make_plan(load_assembly("cube"), HandSet.alike(hand))
 
 
 @pytest.mark.slow
@@ -108,7 +109,7 @@ def planned_on_some_side(number: int, hand: Hand) -> tuple[Assembly, AssemblyPla
     for turn in sides_down():
         cube = soma_cube(number, turn)
         try:
-            return cube, make_plan(cube, hand)
+            return cube, make_plan(cube, HandSet.alike(hand))
         except NoPlanError as error:
             # the orders that stand throughout fail for a grasp, and for nothing else
             assert {row.blocked_by for row in error.rows if row.stable_throughout} <= {

@@ -13,6 +13,7 @@ from soma_bullet.assembly.contacts import SUPPORT
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.grasp.hand import load_hand
+from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.options import HoldLoad, PlannerOptions
 from soma_bullet.planner.plan import NoPlanError, make_plan
@@ -83,7 +84,7 @@ def planned(name: str) -> tuple[Assembly, AssemblyPlan]:
         load_hand(ROOT / "robots/ur5e_pair/hand.toml"),
         PlannerOptions(analyzers=("grounded",), load=load),
     )
-    return assembly, make_plan(assembly, hand, options)
+    return assembly, make_plan(assembly, HandSet.alike(hand), options)
 
 
 def test_every_example_has_its_facts() -> None:
@@ -161,7 +162,7 @@ def test_the_arch_can_be_built_from_its_springers_with_two_holds() -> None:
 def test_the_arch_says_that_it_must_be_closed_gently() -> None:
     hand, options = load_hand(ROOT / "robots/ur5e_pair/hand.toml"), PlannerOptions(analyzers=("grounded",))
     with pytest.raises(NoPlanError) as caught:
-        make_plan(load_assembly("arch"), hand, options)
+        make_plan(load_assembly("arch"), HandSet.alike(hand), options)
     refusals = [reason for reason in caught.value.reasons if reason.startswith("holding keystone in")]
     assert len(refusals) == 2
     assert all("takes 0.63 x the load (2 N of the next insertion" in reason for reason in refusals)

@@ -17,8 +17,9 @@ from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.frames import Array, apply
-from soma_bullet.grasp.clearance import MARGIN, OPENING, SUPPORT_MARGIN, WAY_OUT, hand_hulls, sweep_hand
+from soma_bullet.grasp.clearance import MARGIN, OPENING, SUPPORT_MARGIN, hand_hulls, sweep_hand
 from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.grasp.options import SamplingOptions
 from soma_bullet.grasp.sampling import GraspSet, sample_grasps
 from soma_bullet.planner.options import PlannerOptions
@@ -30,7 +31,7 @@ PIECES = {piece.name: piece for whole in ALL.values() for piece in whole.pieces}
 
 @pytest.fixture(scope="module")
 def qualities(hand: Hand) -> dict[str, Qualities]:
-    return {name: Qualities(whole, hand, PlannerOptions()) for name, whole in ALL.items()}
+    return {name: Qualities(whole, HandSet.alike(hand), PlannerOptions()) for name, whole in ALL.items()}
 
 
 def surface(piece: Workpiece, points: Array, directions: Array) -> tuple[Array, Array]:
@@ -48,7 +49,7 @@ def surface(piece: Workpiece, points: Array, directions: Array) -> tuple[Array, 
 @pytest.mark.parametrize("name", sorted(PIECES))
 def test_pads_lie_on_opposite_faces(name: str, hand: Hand) -> None:
     piece = PIECES[name]
-    grasps = sample_grasps(piece, hand)
+    grasps = sample_grasps(piece, HandSet.alike(hand))
     assert len(grasps) > 100
     closing = grasps.Ts_piece_tcp[:, :3, 0]
     for side in (1, -1):
@@ -61,7 +62,7 @@ def test_pads_lie_on_opposite_faces(name: str, hand: Hand) -> None:
 @pytest.mark.parametrize("name", sorted(PIECES))
 def test_grasps_fit_the_hand(name: str, hand: Hand) -> None:
     options = SamplingOptions()
-    grasps = sample_grasps(PIECES[name], hand, options)
+    grasps = sample_grasps(PIECES[name], HandSet.alike(hand), options)
     assert grasps.widths.max() <= hand.opening - 2 * options.opening_margin
     assert grasps.widths.min() >= options.smallest_width
     assert (grasps.contact >= options.smallest_contact).all() and (grasps.contact <= 1).all()
@@ -73,15 +74,15 @@ def test_grasps_fit_the_hand(name: str, hand: Hand) -> None:
 
 
 def test_a_box_too_wide_is_gripped_across_its_other_sides(hand: Hand) -> None:
-    wide = sample_grasps(box((hand.opening + 0.01, 0.03, 0.03)), hand)
+    wide = sample_grasps(box((hand.opening + 0.01, 0.03, 0.03)), HandSet.alike(hand))
     assert len(wide) > 0
     assert np.abs(wide.Ts_piece_tcp[:, 0, 0]).max() < 1e-9
-    assert len(sample_grasps(box((0.1, 0.1, 0.1)), hand)) == 0
+    assert len(sample_grasps(box((0.1, 0.1, 0.1)), HandSet.alike(hand))) == 0
 
 
 def test_the_fraction_of_the_pad_on_the_piece(hand: Hand) -> None:
     """A plate half as high as the pad carries half of it."""
-    grasps = sample_grasps(box((0.02, 0.1, hand.pad_size[1] / 2)), hand)
+    grasps = sample_grasps(box((0.02, 0.1, hand.pad_size[1] / 2)), HandSet.alike(hand))
     across = np.abs(grasps.Ts_piece_tcp[:, 0, 0]) > 0.99
     upright = np.abs(grasps.Ts_piece_tcp[:, 2, 2]) > 0.99
     middle = np.abs(grasps.Ts_piece_tcp[:, 1, 3]) < 0.03
@@ -117,13 +118,14 @@ def test_accessible_hands_keep_their_distance(qualities: dict[str, Qualities], h
 def test_the_sweep_holds_the_hand_all_along_the_way_out(hand: Hand) -> None:
     T = np.eye(4)[None]
     sweep = sweep_hand(hand, T, np.array([0.02]))
-    for back in np.linspace(0, WAY_OUT, 4):
+    for back in np.linspace(0, hand.way_out, 4):
         for opening in (0.0, OPENING):
             shifted = np.eye(4)
             shifted[2, 3] = -back
             hulls = hand_hulls(hand, shifted, 0.02 + 2 * opening)
+            (boxes,) = sweep.groups
             for hull, centre, generators in zip(
-                hulls, sweep.centres[:, 0], sweep.generators[:, 0], strict=True
+                hulls, boxes.centres[:, 0], boxes.generators[:, 0], strict=True
             ):
                 reach = np.abs(generators).sum(axis=0)
                 assert (np.abs(hull.vertices - centre) <= reach + 1e-9).all()
@@ -134,7 +136,7 @@ def test_the_sweep_holds_the_hand_all_along_the_way_out(hand: Hand) -> None:
 def test_tessellation_changes_no_grasp(seed: int, hand: Hand) -> None:
     whole = ALL["soma3"]
     for coarse, fine in zip(whole.pieces, refined(whole, seed).pieces, strict=True):
-        first, second = (sample_grasps(piece, hand) for piece in (coarse, fine))
+        first, second = (sample_grasps(piece, HandSet.alike(hand)) for piece in (coarse, fine))
         assert len(first) == len(second)
         trees = [KDTree(features(grasps)) for grasps in (first, second)]
         for one, other in (trees, trees[::-1]):
@@ -151,7 +153,7 @@ def features(grasps: GraspSet) -> Array:
 
 def test_the_set_is_frozen(hand: Hand) -> None:
     piece = PIECES["Z"]
-    first, second = sample_grasps(piece, hand), sample_grasps(piece, hand)
+    first, second = sample_grasps(piece, HandSet.alike(hand)), sample_grasps(piece, HandSet.alike(hand))
     np.testing.assert_array_equal(first.Ts_piece_tcp, second.Ts_piece_tcp)
     with pytest.raises(ValueError):
         first.widths[0] = 1.0

@@ -28,6 +28,7 @@ from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, apply, make_transform, readonly, rotation_about, tangents
 from soma_bullet.grasp.hand import Hand, load_hand
+from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.planner.assemblability import Assemblability, analyse_assemblability, analyse_freedom
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.equilibrium import equilibrium_margin
@@ -112,7 +113,7 @@ class Facts:
         count = len(whole.pieces)
         self.whole, everything = whole, frozenset(range(count))
         self.hand = hand
-        judge = Qualities(whole, hand or HAND, PlannerOptions())
+        judge = Qualities(whole, HandSet.alike(hand or HAND), PlannerOptions())
         into = [(k, s) for s in subsets(count) for k in range(count) if k not in s]
         held = [(everything, frozenset({k})) for k in range(count)]
         states = [(s, frozenset()) for s in subsets(count) if s]
@@ -424,7 +425,7 @@ def told(plan: AssemblyPlan, names: dict[str, str], rotation: Array) -> list[tup
 @cache
 def planned(name: str) -> tuple[Assembly, AssemblyPlan]:
     whole = load_assembly("soma3") if name == "soma3" else boxes(3)
-    return whole, make_plan(whole, HAND)
+    return whole, make_plan(whole, HandSet.alike(HAND))
 
 
 @pytest.mark.parametrize("name", ["soma3", "boxes"])
@@ -439,7 +440,7 @@ def test_the_plan_is_the_same_elsewhere_under_other_names_in_inches(
         moved(whole, make_transform(None, (0.31, -0.17, 0.07))), range(len(whole.pieces))[::step]
     )
     other = through_a_file(remeshed(other, 5), tmp_path, "in", UNITS["in"])
-    again = make_plan(other, HAND)
+    again = make_plan(other, HandSet.alike(HAND))
     names = dict(zip(other.names, whole.names[::step], strict=True))
     assert again.score == pytest.approx(plan.score, rel=SAME)
     assert {tuple(names[k] for k in order) for order in again.ties} == set(plan.ties)
@@ -457,7 +458,7 @@ def test_the_plan_is_the_same_elsewhere_under_other_names_in_inches(
 def test_the_plan_turns_with_everything(name: str, angle: float, change: float) -> None:
     whole, plan = planned(name)
     other, motion = yawed(whole, angle)
-    again = make_plan(other, HAND)
+    again = make_plan(other, HandSet.alike(HAND))
     assert again.score == pytest.approx(plan.score, rel=change)
     assert told(again, {}, motion[:3, :3]) == told(plan, {}, np.eye(3))
 
@@ -503,7 +504,7 @@ def test_a_way_out_of_a_shelf_turns_with_the_shelf() -> None:
     for angle in (0.0, np.pi / 2):
         rotation = rotation_about((0, 0, 1), angle)
         turned = moved(whole, make_transform(rotation))
-        way = Qualities(turned, HAND, PlannerOptions()).assemblability(1, frozenset({0, 2}))
+        way = Qualities(turned, HandSet.alike(HAND), PlannerOptions()).assemblability(1, frozenset({0, 2}))
         assert way.direction is not None and way.type == "slot"
         found.append(rotation.T @ way.direction)
     assert found[1] == pytest.approx(found[0], abs=SAME)
@@ -515,7 +516,10 @@ def test_the_papers_measure_of_a_box_is_the_same_after_half_a_turn() -> None:
     whole = boxes(24)
     turned, _ = yawed(whole, np.pi)
     placed = frozenset(range(len(whole.pieces)))
-    before, after = (Qualities(w, HAND, PlannerOptions()).paper_stability(0, placed) for w in (whole, turned))
+    before, after = (
+        Qualities(w, HandSet.alike(HAND), PlannerOptions()).paper_stability(0, placed)
+        for w in (whole, turned)
+    )
     assert after == pytest.approx(before, rel=SAME)
 
 
@@ -526,7 +530,7 @@ def test_a_direction_does_not_depend_on_the_order_of_the_pieces() -> None:
     other, labels = shuffled(whole, [2, 1, 0])
     found = []
     for judged, small, z in ((whole, 1, 2), (other, labels[1], labels[2])):
-        way = Qualities(judged, HAND, PlannerOptions()).assemblability(z, frozenset({small}))
+        way = Qualities(judged, HandSet.alike(HAND), PlannerOptions()).assemblability(z, frozenset({small}))
         assert way.type == "slot" and way.direction is not None
         found.append(way.direction)
     assert found[1] == pytest.approx(found[0], abs=SAME)

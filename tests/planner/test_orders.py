@@ -14,12 +14,17 @@ from blocks import assembly, box
 
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
+from soma_bullet.errors import InputError
 from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.hand_set import HandSet
+from soma_bullet.grasp.options import SamplingOptions
+from soma_bullet.planner.analyzers import Judgement
 from soma_bullet.planner.assemblability import Assemblability
 from soma_bullet.planner.equilibrium import StateStability
 from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.orders import Orders
-from soma_bullet.planner.plan import make_plan
+from soma_bullet.planner.plan import NoPlanError, make_plan
+from soma_bullet.planner.qualities import Qualities
 from soma_bullet.planner.search import NOTHING, follow, score_of
 
 ROBUST, LEANING, FALLS = (
@@ -237,21 +242,63 @@ def twins() -> Assembly:
 def test_ties_are_reported_and_picked_by_the_seed(twins: Assembly, hand: Hand) -> None:
     picked = {}
     for seed in range(6):
-        plan = make_plan(twins, hand, PlannerOptions(seed=seed))
+        plan = make_plan(twins, HandSet.alike(hand), PlannerOptions(seed=seed))
         assert set(plan.ties) == {("one", "two"), ("two", "one")}
-        assert plan.order == make_plan(twins, hand, PlannerOptions(seed=seed)).order
+        assert plan.order == make_plan(twins, HandSet.alike(hand), PlannerOptions(seed=seed)).order
         picked[seed] = plan.order
     assert len(set(picked.values())) == 2
 
 
+ALONE = PlannerOptions(hands=1, sampling=SamplingOptions(spacing=0.02, rolls=4))
+
+
+def nine_cubes(first: float = 0.02) -> Assembly:
+    """Nine cubes far apart, the first of another size [m]: any order can be built."""
+    cubes = [box((first if k == 0 else 0.02,) * 3, f"cube{k}") for k in range(9)]
+    return assembly(cubes, [(0.1 * (k % 3), 0.1 * (k // 3), first / 2 if k == 0 else 0.01) for k in range(9)])
+
+
+def never_complete(qualities: Qualities, placed: frozenset[int], piece: int) -> Judgement:
+    """An analyzer that nothing tells before the last piece."""
+    return Judgement(0.0, "would be the last") if len(placed) == 8 else Judgement(1.0)
+
+
+def test_a_search_that_reaches_its_limit_says_so(hand: Hand) -> None:
+    """Which order of the cubes is best takes more labels than are allowed."""
+    apart, hands = nine_cubes(), HandSet.alike(hand)
+    full = make_plan(apart, hands, ALONE)
+    assert full.optimality.startswith("exact: a search over subsets with ")
+    needed = int(full.optimality.split(" labels")[0].split()[-1])
+    cut = make_plan(apart, hands, replace(ALONE, labels=needed // 2))
+    assert cut.optimality.startswith("not proven best: ")
+    assert f"its limit of {needed // 2} labels" in cut.optimality
+    assert sorted(cut.order) == sorted(apart.names) and 0 < cut.score <= full.score
+    nearly = make_plan(apart, hands, replace(ALONE, labels=needed - 1))
+    assert nearly.score == full.score and nearly.optimality.startswith("exact for the best ")
+
+
+def test_no_order_within_the_limit_is_a_reason(hand: Hand) -> None:
+    """Where nothing was found it matters whether everything was looked at."""
+    apart, hands = nine_cubes(), HandSet.alike(hand)
+    limited = replace(ALONE, analyzers=(f"{__name__}:never_complete",), labels=500)
+    message = r"no order of test was found: .* limit of 500 labels \(PlannerOptions.labels\); what rules out"
+    with pytest.raises(NoPlanError, match=message) as caught:
+        make_plan(apart, hands, limited)
+    assert all("would be the last" in reason for reason in caught.value.reasons)
+    with pytest.raises(NoPlanError, match="no order of test can be built; what rules out 200 orders"):
+        make_plan(nine_cubes(first=hand.opening), hands, ALONE)
+    with pytest.raises(InputError, match=r"--labels 0"):
+        make_plan(apart, hands, PlannerOptions(labels=0))
+
+
 def test_a_single_piece_has_no_tie(hand: Hand) -> None:
-    plan = make_plan(assembly([box((0.02,) * 3, "one")], [(0, 0, 0.01)]), hand)
+    plan = make_plan(assembly([box((0.02,) * 3, "one")], [(0, 0, 0.01)]), HandSet.alike(hand))
     assert plan.order == ("one",) and plan.ties == () and plan.steps[0].holds == ()
 
 
 def test_four_blocks_in_paper_mode(hand: Hand) -> None:
     """The Z is unstable when it is placed and the L restabilises it; V, Z, A, L scores within a per cent."""
-    plan = make_plan(load_assembly("soma4"), hand, PlannerOptions(stability="paper"))
+    plan = make_plan(load_assembly("soma4"), HandSet.alike(hand), PlannerOptions(stability="paper"))
     assert plan.order in (("V", "Z", "L", "A"), ("V", "Z", "A", "L"))
     rows = {row.order: row for row in plan.orders}
     best, other = rows["V", "Z", "L", "A"], rows["V", "Z", "A", "L"]

@@ -119,7 +119,7 @@ def by_brute_force(steps: Instance) -> list[Found]:
 def test_the_best_orders_are_those_of_brute_force(seed: int, count: int, hands: int, top: int) -> None:
     steps = instance(count, seed, hands)
     expected = by_brute_force(steps)
-    found, _ = best_orders(steps, top, steps.bound)
+    found = best_orders(steps, top, steps.bound).found
     assert [item.score for item in found] == pytest.approx([item.score for item in expected[:top]])
     assert len({item.order for item in found}) == len(found)
     by_order = {item.order: item for item in expected}
@@ -143,9 +143,9 @@ def test_hands_change_in_these_instances() -> None:
 @settings(max_examples=10)
 def test_the_bound_changes_nothing_but_the_work(seed: int) -> None:
     steps = instance(6, seed)
-    (guided, fewer), (plain, more) = best_orders(steps, 3, steps.bound), best_orders(steps, 3)
-    assert [item.score for item in guided] == [item.score for item in plain]
-    assert fewer <= more
+    guided, plain = best_orders(steps, 3, steps.bound), best_orders(steps, 3)
+    assert [item.score for item in guided.found] == [item.score for item in plain.found]
+    assert guided.labels <= plain.labels
 
 
 def test_all_orders_are_followed_in_lexicographic_order() -> None:
@@ -160,7 +160,7 @@ def test_all_orders_are_followed_in_lexicographic_order() -> None:
 def test_twelve_pieces() -> None:
     """479 million orders; every swap of neighbours that keeps the order possible scores no better."""
     steps = instance(12, 1, falling=0.3)
-    (best, second), _ = best_orders(steps, 2, steps.bound)
+    best, second = best_orders(steps, 2, steps.bound).found
     assert sorted(best.order) == list(range(12)) and best.score >= second.score > 0
     for k in range(11):
         order = (*best.order[:k], best.order[k + 1], best.order[k], *best.order[k + 2 :])
@@ -172,8 +172,57 @@ def test_twelve_pieces() -> None:
             )
 
 
+def test_labels_run_out_before_any_order_is_complete() -> None:
+    """What has the most pieces then comes first: orders are found, in the order of their scores, unproven."""
+    steps = instance(12, 1, falling=0.3)
+    exact = best_orders(steps, 2, steps.bound)
+    assert exact.ended and exact.proven == 2
+    few = best_orders(steps, 2, steps.bound, most=exact.labels // 4)
+    assert not few.ended and few.proven == 0 and few.labels <= exact.labels // 4 + 12
+    assert few.found and all(sorted(item.order) == list(range(12)) for item in few.found)
+    assert all(0 < item.score <= exact.found[0].score for item in few.found)
+    assert [item.score for item in few.found] == sorted((item.score for item in few.found), reverse=True)
+    assert few == best_orders(instance(12, 1, falling=0.3), 2, steps.bound, most=exact.labels // 4)
+    for item in few.found:  # what is said of it is so
+        followed = follow(steps.supports, item.order)
+        assert followed.complete and followed.holds[0] >= item.minima[0]
+
+
+def test_labels_run_out_once_some_orders_are_proven() -> None:
+    steps = instance(6, 3)
+    everything = best_orders(steps, 10**6, steps.bound)
+    assert everything.ended and everything.proven == len(everything.found) > 20
+    cut = unproven = 0
+    for most in range(everything.labels // 2, everything.labels, 7):
+        part = best_orders(steps, 10**6, steps.bound, most=most)
+        assert not part.ended and part.proven <= len(part.found)
+        best = everything.found[: part.proven]
+        assert [item.score for item in part.found[: part.proven]] == [item.score for item in best]
+        cut += 0 < part.proven
+        unproven += 0 < part.proven < len(part.found)  # complete, though better ones may come
+    assert cut > 3 and unproven > 3
+
+
+@given(SEEDS, st.integers(2, 5), st.integers(1, 4), st.sampled_from([0.2, 0.4, 0.6]))
+@settings(max_examples=60)
+def test_holds_that_can_serve_nothing_are_no_loss(seed: int, count: int, hands: int, falling: float) -> None:
+    """Every order has the same best holds as where each hold is followed that keeps the state up."""
+    few, every = (instance(count, seed, hands, falling) for _ in range(2))
+    assert few._holds is not None and every._holds is not None
+    every._holds._serves = lambda *_: True  # type: ignore[method-assign]
+    assert list(follow_all(few)) == list(follow_all(every))
+
+
+def test_nothing_is_asked_where_nothing_needs_a_hand() -> None:
+    steps = instance(6, 0, falling=-1.0)
+    asked: list[Any] = []
+    steps.can_assist = lambda *question: asked.append(question) or True  # type: ignore[method-assign]
+    assert all(item.complete and not any(item.holds[2]) for item in follow_all(steps))
+    assert not asked
+
+
 def test_nothing_to_find() -> None:
     steps = instance(4, 0, falling=2.0)
-    assert best_orders(steps, 3)[0] == []
+    assert best_orders(steps, 3).found == ()
     assert not any(item.complete for item in follow_all(steps))
     assert not follow(steps.supports, (0, 1, 2, 3)).complete

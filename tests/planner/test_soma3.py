@@ -17,6 +17,7 @@ import pytest
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import InputError, NoSolutionError
 from soma_bullet.grasp.hand import Hand
+from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.equilibrium import classify
 from soma_bullet.planner.options import PlannerOptions
@@ -34,17 +35,17 @@ def named(assembly: Assembly, *names: str) -> frozenset[int]:
 
 @pytest.fixture(scope="module")
 def equilibrium(soma3: Assembly, hand: Hand) -> AssemblyPlan:
-    return make_plan(soma3, hand)
+    return make_plan(soma3, HandSet.alike(hand))
 
 
 @pytest.fixture(scope="module")
 def paper(soma3: Assembly, hand: Hand) -> AssemblyPlan:
-    return make_plan(soma3, hand, PlannerOptions(stability="paper"))
+    return make_plan(soma3, HandSet.alike(hand), PlannerOptions(stability="paper"))
 
 
 @pytest.fixture(scope="module")
 def qualities(soma3: Assembly, hand: Hand) -> Qualities:
-    return Qualities(soma3, hand, PlannerOptions(stability="paper"))
+    return Qualities(soma3, HandSet.alike(hand), PlannerOptions(stability="paper"))
 
 
 @pytest.mark.parametrize("name", ["BigL", "smallL", "Z"])
@@ -179,29 +180,29 @@ def test_equilibrium_mode_says_what_holds_do(equilibrium: AssemblyPlan) -> None:
 
 
 def test_an_excluded_order_is_not_taken(soma3: Assembly, hand: Hand, equilibrium: AssemblyPlan) -> None:
-    second = make_plan(soma3, hand, excluded=frozenset({equilibrium.order}))
+    second = make_plan(soma3, HandSet.alike(hand), excluded=frozenset({equilibrium.order}))
     assert second.order == ("BigL", "Z", "smallL")
     (refused,) = (
         second.passed_over
     )  # the next best by geometry: no grasp of Z keeps smallL from tipping off it
     assert refused.startswith("holding Z in {smallL, Z}") and "must take 1 x" in refused
-    two = make_plan(soma3, hand, PlannerOptions(top=2))
+    two = make_plan(soma3, HandSet.alike(hand), PlannerOptions(top=2))
     assert [two.order, *(other.order for other in two.alternatives)] == [equilibrium.order, second.order]
     assert two.alternatives[0].steps == second.steps and two.alternatives[0].score == second.score
     with pytest.raises(NoSolutionError, match="orders of soma3"):
-        make_plan(soma3, hand, excluded=frozenset(permutations(soma3.names)))
+        make_plan(soma3, HandSet.alike(hand), excluded=frozenset(permutations(soma3.names)))
 
 
 def test_one_hand_is_not_enough(soma3: Assembly, hand: Hand) -> None:
     with pytest.raises(NoSolutionError, match="there is no hand to spare"):
-        make_plan(soma3, hand, PlannerOptions(hands=1))
+        make_plan(soma3, HandSet.alike(hand), PlannerOptions(hands=1))
 
 
 def test_what_cannot_stand_in_the_end_is_refused(soma3: Assembly, hand: Hand) -> None:
     lean = replace(soma3, name="lean", pieces=(soma3.pieces[0], soma3.pieces[2]), goals=soma3.goals[[0, 2]])
     for mode in ("equilibrium", "paper"):
         with pytest.raises(InputError, match="not stable.*holding BigL would keep it up"):
-            make_plan(lean, hand, PlannerOptions(stability=mode))
+            make_plan(lean, HandSet.alike(hand), PlannerOptions(stability=mode))
 
 
 @pytest.mark.parametrize("mode", ["equilibrium", "paper"])
@@ -221,10 +222,11 @@ def test_the_plan_survives_its_file(request: pytest.FixtureRequest, tmp_path: Pa
 def test_two_processes_write_the_same_bytes(tmp_path: Path, mode: str) -> None:
     code = (
         "import sys; from pathlib import Path; from soma_bullet.assembly.file import load_assembly; "
-        "from soma_bullet.grasp.hand import load_hand; from soma_bullet.planner.plan import "
+        "from soma_bullet.grasp.hand import load_hand; from soma_bullet.grasp.hand_set import HandSet; "
+        "from soma_bullet.planner.plan import "
         "PlannerOptions, make_plan; "
         "from soma_bullet.records import write_json; "
-        "plan = make_plan(load_assembly('soma3'), load_hand(sys.argv[1]), "
+        "plan = make_plan(load_assembly('soma3'), HandSet.alike(load_hand(sys.argv[1])), "
         "PlannerOptions(stability=sys.argv[2])); "
         "write_json(plan, Path(sys.argv[3]))"
     )

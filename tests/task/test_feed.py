@@ -69,7 +69,7 @@ def test_places_are_in_the_areas_and_spread_over_all_of_them(centres: Array, cel
 def test_yaws_are_all_around(feeds: list[Feed], soma3: Assembly, plan: AssemblyPlan, cell: Cell) -> None:
     preferred = [draw_feed(soma3, plan, cell, seed, FeedOptions(poses="preferred")) for seed in SEEDS]
     for name in soma3.names:
-        rest = preferred_resting_pose(soma3, plan, cell.arms[0].hand, name)
+        rest = preferred_resting_pose(soma3, plan, cell.hands, name)
         yaws = np.array([yaw_of(feed.pose(name), rest) for feed in preferred])
         assert yaws.min() < -2.6 and yaws.max() > 2.6
         assert np.histogram(yaws, bins=4, range=(-np.pi, np.pi))[0].min() > len(feeds) / 15
@@ -112,9 +112,7 @@ def test_pieces_that_need_a_regrasp_are_counted(
     feeds: list[Feed], soma3: Assembly, plan: AssemblyPlan, cell: Cell
 ) -> None:
     for feed in feeds[:10]:
-        served = [
-            len(serving_grasps(soma3, plan, cell.arms[0].hand, name, feed.pose(name))) for name in feed.names
-        ]
+        served = [len(serving_grasps(soma3, plan, cell.hands, name, feed.pose(name))) for name in feed.names]
         assert feed.regrasps_needed == served.count(0)
 
 
@@ -141,10 +139,10 @@ def test_pieces_lie_at_rest(feeds: list[Feed], soma3: Assembly) -> None:
 
 
 def test_every_piece_can_be_gripped_where_it_lies(soma3: Assembly, plan: AssemblyPlan, cell: Cell) -> None:
-    hand = cell.arms[0].hand
+    hands = cell.hands
     for name in soma3.names:
-        rest = preferred_resting_pose(soma3, plan, hand, name)
-        found = serving_grasps(soma3, plan, hand, name, rest)
+        rest = preferred_resting_pose(soma3, plan, hands, name)
+        found = serving_grasps(soma3, plan, hands, name, rest)
         step = next(step for step in plan.steps if step.piece == name)
         assert len(found) and set(found) <= set(step.grasps)
 
@@ -162,7 +160,7 @@ def test_rows(soma3: Assembly, plan: AssemblyPlan, cell: Cell) -> None:
     assert feed.poses.tobytes() == draw_feed(soma3, plan, cell, 4, FeedOptions(layout="rows")).poses.tobytes()
     areas = cell.feed_areas
     for k, name in enumerate(plan.order):
-        pose, rest = feed.pose(name), preferred_resting_pose(soma3, plan, cell.arms[0].hand, name)
+        pose, rest = feed.pose(name), preferred_resting_pose(soma3, plan, cell.hands, name)
         np.testing.assert_allclose(pose[:3, :3], rest[:3, :3], atol=1e-12)
         piece, area = soma3.pieces[soma3.index(name)], areas[k % len(areas)]
         centre = apply(pose, piece.center_of_mass)

@@ -18,7 +18,7 @@ from soma_bullet.task.workcell import Workcell
 @pytest.mark.parametrize("name", ["soma3", "soma4", "dowel", "dovetail", "crate"])
 def test_it_is_what_samples_along_the_way_say(name: str, cell: Cell) -> None:
     assembly = load_assembly(name)
-    workcell, plan = Workcell(assembly, cell), kept_plan(assembly, cell.arms[0].hand)
+    workcell, plan = Workcell(assembly, cell), kept_plan(assembly, cell.hands)
     sizes = workcell.sizes
     for k, step in enumerate(plan.steps):
         standing = {s.piece: workcell.settled[s.piece] for s in plan.steps[:k]}
@@ -53,7 +53,7 @@ def _shift(by: Array) -> Array:
 
 def test_a_peg_is_guarded_in_its_hole(cell: Cell) -> None:
     assembly = load_assembly("dowel")
-    workcell, plan = Workcell(assembly, cell), kept_plan(assembly, cell.arms[0].hand)
+    workcell, plan = Workcell(assembly, cell), kept_plan(assembly, cell.hands)
     step = plan.steps[-1]
     standing = {s.piece: workcell.settled[s.piece] for s in plan.steps[:-1]}
     assert (

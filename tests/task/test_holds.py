@@ -34,7 +34,7 @@ def case(cell: Cell) -> tuple[Workcell, AssemblyPlan, Program]:
         box((WIDE, WIDE, TALL / 2), "three"),
     ]
     whole = assembly(posts, [(-0.06, 0, TALL / 2), (0.06, 0, TALL / 2), (0, 0.06, TALL / 4)])
-    plan, workcell = make_plan(whole, cell.arms[0].hand), Workcell(whole, cell)
+    plan, workcell = make_plan(whole, cell.hands), Workcell(whole, cell)
     name = plan.order[0]
     table = grasp_table(plan, name)
     not_asked = HoldCertificate(1.0, HoldLoad(), 40.0, 0.5, (0.0,) * 6)

@@ -39,7 +39,7 @@ NEEDS = {PUT_DOWN: UNSERVED, HANDED_OVER: UNSERVED_FIRST}  # feeds with which so
 
 def made(name: str, cell: Cell) -> tuple[Workcell, AssemblyPlan, Program]:
     assembly = load_assembly(name)
-    plan, workcell = kept_plan(assembly, cell.arms[0].hand), Workcell(assembly, cell)
+    plan, workcell = kept_plan(assembly, cell.hands), Workcell(assembly, cell)
     return workcell, plan, make_program(workcell, plan, laid(workcell, plan, NEEDS[name]), 0)
 
 
@@ -64,8 +64,8 @@ def case(request: pytest.FixtureRequest) -> tuple[Workcell, AssemblyPlan, Progra
 
 def graph_of(assembly: Assembly, plan: AssemblyPlan, cell: Cell) -> GraspGraph:
     table = grasp_table(plan, assembly.names[0])
-    hand, poses = cell.arms[0].hand, table_poses(table)
-    return GraspGraph(assembly.pieces[0], hand, poses, table.widths, table.contact)
+    poses = table_poses(table)
+    return GraspGraph(assembly.pieces[0], cell.hands, poses, table.widths, table.contact, table.kinds)
 
 
 def test_hands_together_is_mutual_and_never_with_oneself(
@@ -85,7 +85,7 @@ def test_what_serves_does_so_at_any_yaw(yaw: float, rest: int) -> None:
     from soma_bullet.robot.cell import load_cell
 
     cell, assembly = load_cell("ur5e_pair"), load_assembly("soma3")
-    plan = kept_plan(assembly, cell.arms[0].hand)
+    plan = kept_plan(assembly, cell.hands)
     graph = graph_of(assembly, plan, cell)
     rest = rest % len(graph.resting)
     turned = make_transform(rotation_about((0, 0, 1), yaw), (0.1, 0.2, 0.0)) @ graph.resting[rest]

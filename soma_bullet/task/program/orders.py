@@ -74,7 +74,7 @@ def _candidates(workcell: Workcell, plan: AssemblyPlan, most: int) -> Iterator[t
             better.append(plan)
         excluded |= {plan.order}
         try:
-            plan = kept_plan(workcell.assembly, workcell.hand(0), plan.options, excluded)
+            plan = kept_plan(workcell.assembly, workcell.cell.hands, plan.options, excluded)
         except NoSolutionError:
             break
     yield from ((earlier, THOROUGH) for earlier in better)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from soma_bullet.frames import Indices, Mask, inverse
-from soma_bullet.grasp.clearance import MARGIN, hand_hulls, sweep_hand
+from soma_bullet.grasp.clearance import MARGIN, hand_hulls
 from soma_bullet.task.actions import hold, insert
 from soma_bullet.task.actions.action import Action
 from soma_bullet.task.actions.insert import Candidate, Insert
@@ -72,13 +72,13 @@ class Placer:
         planning, cell = self.planning, self.planning.workcell
         step = planning.plan.steps[k]
         graph, way = planning.graph(step.piece), insert.insertion(planning, k)
-        Ts, widths = cell.goals[step.piece] @ graph.poses[indices], graph.widths[indices]
-        sweep = sweep_hand(cell.hand(0), Ts, widths, way_out=0.0, sweep=way.sweep()[-1])
+        goal = cell.goals[step.piece]
+        sweep = graph.sweep(goal, indices, way_out=0.0, sweep=way.sweep()[-1])
         obstacles = []
         for name in sorted(state.placed, key=planning.plan.order.index):
             obstacles += [part.moved(cell.goals[name]) for part in cell.body(name).parts]
         clear = np.asarray(sweep.separation(obstacles) > 0.0)
-        leaving = sweep_hand(cell.hand(0), Ts, widths)
+        leaving = graph.sweep(goal, indices)
         for arm, piece in state.held.items():
             T_piece_tcp = inverse(cell.settled[piece]) @ planning.robot.tcp(arm, state.qs[arm])
             holder = hand_hulls(cell.hand(arm), cell.goals[piece] @ T_piece_tcp, float(state.openings[arm]))

@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from soma_bullet.frames import Array, Indices, Mask
-from soma_bullet.grasp.clearance import MARGIN, OPENING, SUPPORT_MARGIN, sweep_hand
+from soma_bullet.grasp.clearance import MARGIN, OPENING, SUPPORT_MARGIN, HandSweep, sweep_hand
 from soma_bullet.grasp.graph import GraspGraph, Grip
 from soma_bullet.planner.assembly_plan import AssemblyPlan, GraspTable
 from soma_bullet.planner.assist import HoldCertificate
@@ -154,16 +154,21 @@ class Planning:
 
     def graph(self, piece: str) -> GraspGraph:
         """The grasp graph of a piece: one for all searches of a plan."""
-        table, body, hand = grasp_table(self.plan, piece), self.workcell.body(piece), self.workcell.hand(0)
+        table, body, hands = (
+            grasp_table(self.plan, piece),
+            self.workcell.body(piece),
+            self.workcell.cell.hands,
+        )
         graph = _GRAPHS.get(table)
-        if graph is None or graph.piece is not body or graph.hand is not hand:
-            graph = GraspGraph(body, hand, table_poses(table), table.widths, table.contact)
+        if graph is None or graph.piece is not body or graph.hands is not hands:
+            poses = table_poses(table)
+            graph = GraspGraph(body, hands, poses, table.widths, table.contact, table.kinds)
             _GRAPHS[table] = graph
         return graph
 
     def usable(self, piece: str, arm: int) -> Mask:
         """Which grasps of a piece's table are those of an arm's hand: bool (n,)."""
-        return np.ones(len(self.graph(piece)), bool)
+        return self.graph(piece).usable(arm)
 
     def opened(self, piece: str, spot: Spot, arm: int, grip: Grip) -> float:
         """Distance [m] between the pads on the way to a piece at a spot: enough also if it is not quite
@@ -180,17 +185,22 @@ class Planning:
         """Whether the hand is clear of the table and of the other pieces by each grasp, the piece at a spot:
         bool (n,)."""
         graph, key = self.graph(fetch.piece), ClearKey(fetch.state.placed, fetch.piece, spot)
-        return self.clear.get(key, lambda: self._clear(fetch, spot, 0, graph.poses, graph.widths))
+
+        def make() -> Mask:
+            sweep = graph.sweep(spot.pose, opening=OPENING + spot.off)
+            return self._clear(fetch, spot, sweep, graph.widths, graph.openings)
+
+        return self.clear.get(key, make)
 
     def clear_hands(self, fetch: Fetch, spot: Spot, arm: int, grips: Sequence[Grip]) -> Mask:
         """The same for some hands of an arm that are in no table."""
-        poses, widths = np.array([g.T_piece_tcp for g in grips]), np.array([g.width for g in grips])
-        return self._clear(fetch, spot, arm, poses, widths)
+        hand, widths = self.workcell.hand(arm), np.array([grip.width for grip in grips])
+        Ts = spot.pose @ np.array([grip.T_piece_tcp for grip in grips])
+        sweep = sweep_hand(hand, Ts, widths, OPENING + spot.off)
+        return self._clear(fetch, spot, sweep, widths, np.full(len(grips), hand.opening))
 
-    def _clear(self, fetch: Fetch, spot: Spot, arm: int, poses: Array, widths: Array) -> Mask:
-        hand, off = self.workcell.hand(arm), spot.off
-        sweep = sweep_hand(hand, spot.pose @ poses, widths, OPENING + off)
-        clear = np.asarray(sweep.above(0.0) > SUPPORT_MARGIN) & (widths + 2 * off <= hand.opening)
+    def _clear(self, fetch: Fetch, spot: Spot, sweep: HandSweep, widths: Array, openings: Array) -> Mask:
+        clear = np.asarray(sweep.above(0.0) > SUPPORT_MARGIN) & (widths + 2 * spot.off <= openings)
         for name, pose in fetch.state.on_table(fetch.piece).items():
             parts = [part.moved(pose) for part in self.workcell.body(name).parts]
             clear &= sweep.separation(parts) > MARGIN + self.off(name)

@@ -65,7 +65,7 @@ class Scheduler:
         self.effort, self.refusals = effort or Effort(), refusals or Refusals()
         self.order_lines = ORDER_LINES
         self.excluded = Excluded()
-        self._judged = Holds(Qualities(workcell.assembly, workcell.hand(0), plan.options))
+        self._judged = Holds(Qualities(workcell.assembly, workcell.cell.hands, plan.options))
         self._searches: dict[tuple[int, ...], Search | None] = {}
         self._rearrangements: dict[tuple[Identity, ...], Search] = {}  # by what comes before the first step
 
@@ -187,8 +187,8 @@ class Scheduler:
 
     def _served(self, k: int) -> bool:
         name = self.plan.steps[k].piece
-        hand = self.workcell.hand(0)
-        return len(serving_grasps(self.workcell.assembly, self.plan, hand, name, self.feed.pose(name))) > 0
+        hands, pose = self.workcell.cell.hands, self.feed.pose(name)
+        return len(serving_grasps(self.workcell.assembly, self.plan, hands, name, pose)) > 0
 
     def _search(self, prepared: tuple[int, ...]) -> Search | None:
         """The search with the pieces of some steps prepared; None where one of them cannot be."""
