@@ -10,53 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from soma_bullet.control.execute import Executor
-from soma_bullet.control.executive import Executive
-from soma_bullet.control.options import Compliance, ExecutionOptions
-from soma_bullet.frames import Array, translate
+from soma_bullet.control.options import ExecutionOptions
 from soma_bullet.records import read_npz, write_npz
-from soma_bullet.task.feed_options import FeedOptions
-from soma_bullet.task.program.program import Program
-from soma_bullet.verdict.judge import Judgement, judge
 from soma_bullet.world.log import ExecutionLog
 from soma_bullet.world.simulator import Simulator
-from tests.control.fake import FakeSimulator
+from tests.control.episodes import judged, ran, world_of
 from tests.soma3 import loosened, planned
 
-EVERY = 10  # samples of a trajectory between those of the log
 ADDED = 2.0  # [s] that feeling and settling may take beyond what was planned
-
-
-def feed_of(program: Program) -> dict[str, Array]:
-    return {name: program.feed.pose(name) for name in program.feed.names}
-
-
-def ran(
-    program: Program,
-    world: FakeSimulator,
-    options: ExecutionOptions | None = None,
-    kind: type[Executive] = Executive,
-    ablate: str = "",
-) -> ExecutionLog:
-    """An episode in a world."""
-    workcell, plan, _ = planned()
-    options = options or ExecutionOptions()
-    compliance = Compliance() if options.compliant else None
-    executor = Executor(world, program, workcell.sizes, compliance, EVERY)
-    ended = kind(workcell, plan, program, executor, FeedOptions(), options, ablate).run()
-    executor.settle()
-    return executor.log(ended)
-
-
-def judged(log: ExecutionLog) -> Judgement:
-    workcell, _, _ = planned()
-    return judge(log, workcell.assembly, workcell.cell)
-
-
-def world_of(program: Program, kind: type[FakeSimulator] = FakeSimulator, **off: Array) -> FakeSimulator:
-    """The world of a program, in which some pieces lie elsewhere [m] than they were seen."""
-    poses = {name: translate(pose, off.get(name, np.zeros(3))) for name, pose in feed_of(program).items()}
-    return kind(planned()[0], poses)
 
 
 # --- the protocol -------------------------------------------------------------------------------------------
@@ -167,7 +128,7 @@ def kinds(log: ExecutionLog) -> list[str]:
 def test_a_hand_that_closes_on_nothing_stops_where_nothing_is_recovered() -> None:
     piece = planned()[1].order[0]
     off = {piece: np.array((0.03, 0.03, 0.0))}
-    log = ran(loosened(), world_of(loosened(), **off), ExecutionOptions(recover=False))
+    log = ran(loosened(), world_of(loosened(), off=off), ExecutionOptions(recover=False))
     assert log.ended == f"{piece} lost in grasp" and "planned anew" not in kinds(log)
     assert not judged(log).success
 
@@ -175,7 +136,7 @@ def test_a_hand_that_closes_on_nothing_stops_where_nothing_is_recovered() -> Non
 @pytest.mark.parametrize("which", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_a_piece_that_is_not_there_is_looked_for(which: int) -> None:
     piece = planned()[1].order[which]
-    log = ran(loosened(), world_of(loosened(), **{piece: np.array((0.03, 0.03, 0.0))}))
+    log = ran(loosened(), world_of(loosened(), off={piece: np.array((0.03, 0.03, 0.0))}))
     assert judged(log).success, judged(log).causes
     assert kinds(log)[:3] == ["trouble", "looked", "planned anew"]
     assert log.events[0].piece == piece and "lost in grasp" in log.events[0].text
