@@ -95,6 +95,8 @@ def test_what_is_placed_is_felt_but_not_pushed(episode: ExecutionLog) -> None:
         after = int(episode.between(record.end, np.inf)[0])
         settled = workcell.settled[record.piece]
         assert np.linalg.norm(episode.piece_pose(after, record.piece)[:3, 3] - settled[:3, 3]) < 0.1e-3
+        force = episode.wrenches[after, episode.arm_names.index(record.arm)]  # as the world has it
+        assert 0.0 <= force[2] < sizes.resting
 
 
 def test_the_log_is_read_back(episode: ExecutionLog, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ every combination."""
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -259,6 +260,25 @@ def test_bisection_agrees_with_sampling(workcell: Workcell, along: list[tuple[Ce
                 a, b = rng.integers(len(sweeps[i].path)), rng.integers(len(sweeps[j].path))
                 assert distance(sweeps[i].at(int(a)), sweeps[j].at(int(b)), 1.0) > CLEARANCE
     assert min(seen.values()) >= 3
+
+
+def test_a_hand_that_opens_meanwhile_needs_more_room(workcell: Workcell) -> None:
+    """Two arms at rest, so near that there is room as long as neither hand moves its fingers."""
+    state, rng, seen = workcell.idle(), np.random.default_rng(0), 0
+    goals = {a.arm: a.insert.q_goal for a in planned()[2].schedule.assignments}
+    for _ in range(100):
+        for arm, q in goals.items():
+            state = state.with_arm(arm, q + rng.normal(0.0, 0.2, len(q)), 0.02)
+        one, two = (Sweep.at_rest(workcell, state, arm) for arm in (0, 1))
+        gap = distance(one.at(0), two.at(0), 1.0)
+        if CLEARANCE < gap < 3 * CLEARANCE:
+            more = gap - CLEARANCE
+            little = replace(one, change=0.4 * more), replace(two, change=0.4 * more)
+            assert not meet(one, two) and not meet(*little)
+            assert meet(replace(one, change=1.1 * more), two) and meet(one, replace(two, change=1.1 * more))
+            assert meet(replace(one, change=0.6 * more), replace(two, change=0.6 * more))
+            seen += 1
+    assert seen >= 5
 
 
 def test_it_is_reproducible(workcell: Workcell, program: Program, loosened: Program) -> None:

@@ -3,8 +3,10 @@ out."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -278,6 +280,17 @@ def test_an_insertion_that_is_to_blame_is_ruled_out_however_the_piece_comes(
     assert again.insert.identity != first.insert.identity
 
 
+def test_an_insertion_that_is_to_blame_is_ruled_out_also_where_the_piece_was_handed_over(
+    workcell: Workcell, plan: AssemblyPlan
+) -> None:
+    scheduler = Scheduler(workcell, plan, laid(workcell, plan, CROWDED))
+    first = scheduler.find().assignments[0]
+    assert first.regrasps
+    scheduler.rule_out(first, first.insert)
+    placer = scheduler.feed_search.placer
+    assert placer.ruled_out(first) and placer.ruled_out(replace(first, bring=()))
+
+
 @pytest.mark.parametrize("which", ["hand over", "first"])
 def test_a_way_to_bring_a_piece_is_ruled_out_by_itself(
     which: str, workcell: Workcell, plan: AssemblyPlan
@@ -305,3 +318,33 @@ def test_a_squaring_is_ruled_out_by_itself(workcell: Workcell, plan: AssemblyPla
     again = scheduler.find().assignments[0]
     assert again.insert.identity == first.insert.identity
     assert square.identity not in [action.identity for action in again.bring]
+
+
+# --- the order of the search --------------------------------------------------------------------------------
+
+
+def test_what_no_step_follows_is_tried_once_but_at_each_step_for_itself(
+    search: Search, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A made-up search of three steps: nothing follows the hands as they are after B, but what begins with
+    them."""
+    state, robot = search.planning.empty(0), search.workcell.robot
+    after = {
+        name: state.gripping(k % 2, name).with_arm(k % 2, robot.home[k % 2] + k)
+        for k, name in enumerate("ABC")
+    }
+    ways = {(0, ""): "AB", (1, "A"): "BB", (1, "B"): "C", (2, "C"): "A"}
+    tried = list[tuple[int, str]]()
+
+    def assignments(k: int, now: CellState, width: int, ranked: object) -> Iterator[tuple[str, CellState]]:
+        name = "".join(now.gripped.values())
+        tried.append((k, name))
+        yield from ((way, after[way]) for way in ways.get((k, name), ""))
+
+    monkeypatch.setattr(search, "_assignments", assignments)
+    monkeypatch.setattr(search, "_as_option", lambda way: None)
+    monkeypatch.setattr(search, "placer", SimpleNamespace(ruled_out=lambda way: False))
+    arms: Any = SimpleNamespace(ranked=lambda k, previous: [])
+    (found,) = search._search(0, state, 8, None, arms)
+    assert found == ["B", "C", "A"]
+    assert tried == [(0, ""), (1, "A"), (2, "B"), (1, "B"), (2, "C")]
