@@ -3,6 +3,7 @@ from anywhere."""
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,14 +18,16 @@ from soma_bullet.motion.timing import limit_margins
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.records import read_npz, to_tree, write_npz
 from soma_bullet.task.actions.action import Action
+from soma_bullet.task.actions.release import Release
 from soma_bullet.task.feed import Feed
+from soma_bullet.task.kinds import PLACE, as_planned
 from soma_bullet.task.limits import Effort
-from soma_bullet.task.program.builder import WORTH, MotionError, ProgramBuilder
+from soma_bullet.task.program.builder import WORTH, MotionError, ProgramBuilder, guarded
 from soma_bullet.task.program.make import make_program, replan
-from soma_bullet.task.program.program import Moment, Program
+from soma_bullet.task.program.program import Moment, Program, moments
 from soma_bullet.task.search.scheduler import Scheduler
 from soma_bullet.task.segment import DT, Segment
-from soma_bullet.task.workcell import Workcell
+from soma_bullet.task.workcell import STAND, Workcell
 
 STEP = ["transit", "approach", "grasp", "lift", "transfer", "insert", "place", "settle"]
 EXCESS = 1.03  # of a limit, by differences between samples
@@ -333,3 +336,51 @@ def test_a_motion_that_fails_rules_out_what_it_is_of(
     assert failed == [plan.order[0]] and told == [f"{plan.order[0]}: insert: made up"]
     assert made.schedule.assignments[0].insert.identity != refused
     assert made.schedule.rejections[told[0]] == 1
+
+
+# --- where a hand goes on, and what goes home ---------------------------------------------------------------
+
+
+def test_a_placing_goes_on_beyond_its_end_only_where_something_should_stop_it(
+    program: Program, workcell: Workcell
+) -> None:
+    for before, segment, _ in moments(workcell, program):
+        if segment.kind is PLACE:
+            assert segment.beyond == workcell.sizes.beyond
+            alone = guarded(workcell, replace(segment, beyond=0.0), replace(before, placed=frozenset()))
+            stands = STAND in {name for pair in workcell.touching if segment.piece in pair for name in pair}
+            assert alone.beyond == (workcell.sizes.beyond if stands else 0.0)
+            assert alone.guard == segment.guard == workcell.sizes.guard
+            np.testing.assert_array_equal(alone.compliance, segment.compliance)
+
+
+def test_an_arm_that_has_let_go_goes_home_unless_it_acts_next(program: Program, plan: AssemblyPlan) -> None:
+    assignments = program.schedule.assignments
+    kept = 0
+    for a, following in itertools.zip_longest(assignments, assignments[1:]):
+        home = [s.arm for s in program.segments if (s.step, s.kind.name) == (a.step, "home")]
+        left = {release.arm for release in a.releases}
+        acts = following.actions[0].arm if following is not None else None
+        assert sorted(home) == sorted(left - {acts})
+        kept += acts in left
+    assert kept
+
+
+def test_only_what_stands_on_a_piece_follows_when_that_is_let_go(
+    program: Program, workcell: Workcell, plan: AssemblyPlan
+) -> None:
+    names = plan.order
+    for lower, upper in itertools.permutations(names, 2):
+        state = workcell.idle(workcell.settled).gripping(0, lower).gripping(1, upper)
+        for piece in names:
+            state = state.placing(piece)
+        steps, kinds = Release(0, lower, state.qs[0]).steps(workcell, state), list[str]()
+        with contextlib.suppress(StopIteration):
+            step = next(steps)
+            while True:
+                kinds.append(step.kind.name)
+                state = as_planned(workcell, state, step)
+                step = steps.send(state)
+        follows = ["follow"] if workcell.carries(lower, upper) else []
+        assert kinds == ["release", *follows, "retreat"]
+    assert {workcell.carries(*pair) for pair in itertools.permutations(names, 2)} == {True, False}

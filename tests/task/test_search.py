@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from soma_bullet.assembly.hulls import Hull, box_hull
 from soma_bullet.frames import inverse, translate
@@ -21,8 +23,10 @@ from soma_bullet.task.actions.hand_over import HandOver
 from soma_bullet.task.actions.insert import Candidate
 from soma_bullet.task.actions.square import Square
 from soma_bullet.task.feed import Feed
+from soma_bullet.task.kinds import LIFT
 from soma_bullet.task.lines import Spot
 from soma_bullet.task.schedule import Schedule
+from soma_bullet.task.search import changes
 from soma_bullet.task.search.planning import Fetch
 from soma_bullet.task.search.scheduler import Scheduler
 from soma_bullet.task.search.search import Search
@@ -140,13 +144,13 @@ def test_a_piece_that_is_not_quite_there_is_met_with_a_wider_hand(search: Search
 
 
 def test_a_state_stands_as_the_plan_says(search: Search) -> None:
-    placed, changes = frozenset[str](), search.placer.changes
+    placed, settled = frozenset[str](), search.placer.changes
     for step in search.plan.steps:
         placed |= {step.piece}
         holds = frozenset(hold.piece for hold in step.holds)
-        assert changes.stands(placed, holds)
+        assert settled.stands(placed, holds)
         if holds:
-            assert not changes.stands(placed, frozenset())
+            assert not settled.stands(placed, frozenset())
 
 
 def test_nothing_is_let_go_of_that_would_fall(
@@ -174,6 +178,16 @@ def test_a_hand_that_need_not_hold_any_more_goes(
     assert set(changed.state.held.values()) == {hold.piece for hold in plan.steps[1].holds}
     for arm in changed.state.free:
         np.testing.assert_array_equal(changed.state.qs[arm], workcell.robot.home[arm])
+
+
+@given(st.lists(st.sampled_from("abcdef"), unique=True, max_size=4), st.booleans())
+def test_hands_let_go_before_or_after_another_takes_hold(go: list[str], taking: bool) -> None:
+    """At every moment one may take hold, whatever lets go; none does where none is to."""
+    found = list(changes._sequences(go, taking))
+    assert {after for _, after in found} == (set(range(len(go) + 1)) if taking else {0})
+    assert all(sorted(order) == sorted(go) for order, _ in found)
+    assert [order for order, after in found if after == 0][0] == go
+    assert len({(tuple(order), after) for order, after in found}) == len(found)
 
 
 # --- what is known already ----------------------------------------------------------------------------------
@@ -239,6 +253,47 @@ def test_a_pick_is_looked_at_anew_where_the_other_arm_is_elsewhere(
     elsewhere = replace(fetch, state=held.with_arm(holder, in_the_way[0]))
     assert pick.check(planning, elsewhere, fetch.source, arm, graph.grip(picked.grasp)) is None
     assert pick.check(planning, fetch, fetch.source, arm, graph.grip(picked.grasp)) is picked
+
+
+def test_a_pick_is_free_of_the_other_arm_on_both_of_its_lines(
+    search: Search, workcell: Workcell, held: CellState
+) -> None:
+    """Wherever that is; judged by the scenes of approach and lift."""
+    planning, rng = search.planning, np.random.default_rng(0)
+    ((holder, _),) = held.held.items()
+    fetch, arm = fetch_of(search, 1, held), 1 - holder
+    graph, robot = planning.graph(fetch.piece), workcell.robot
+    grips = [graph.grip(int(g)) for g in planning.allowed(1) if planning.clear_at(fetch, fetch.source)[g]]
+    usable = [g for g in grips if pick.candidates(planning, fetch, fetch.source, arm, g)][:4]
+    seen = {True: 0, False: 0}
+    for grip in usable:
+        lines = pick.candidates(planning, fetch, fetch.source, arm, grip)
+        lifted = robot.tcp(arm, lines[0][1][-1])
+        for _ in range(24):
+            near = translate(lifted, rng.normal(0.0, 0.12, 3) * (1.0, 1.0, 0.5))
+            there = robot.inverse(holder, near, held.qs[holder])
+            if not len(there):
+                continue
+            state = held.with_arm(holder, there[0])
+            at_piece = state.gripping(arm, fetch.piece)
+            carrying = at_piece.carrying(arm, inverse(grip.T_piece_tcp))
+            opened = planning.opened(fetch.piece, fetch.source, arm, grip)
+            scenes = (
+                workcell.scene(at_piece, arm),
+                workcell.scene(carrying, arm, LIFT.touching(workcell, fetch.piece)),
+            )
+            free = any(
+                not any(
+                    scene.collides(workcell.configuration(at_piece, arm, q, width))
+                    for scene, line, width in zip(scenes, branch, (opened, grip.width), strict=True)
+                    for q in line
+                )
+                for branch in lines
+            )
+            found = pick.check(planning, replace(fetch, state=state), fetch.source, arm, grip)
+            assert (found is not None) == free
+            seen[free] += 1
+    assert min(seen.values()) >= 5
 
 
 def test_what_lies_elsewhere_is_looked_at_anew(search: Search) -> None:
