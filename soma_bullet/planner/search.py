@@ -18,7 +18,7 @@ Cost = tuple[
     int, int, int, int
 ]  # pieces gripped again, pieces held, states that depend on clearance, changes of hold
 FREE: Cost = (0, 0, 0, 0)
-LABELS = 40_000  # that a search may make: about a minute and 0.3 GB for twelve to sixteen blocks
+LABELS = 40_000  # that a search may make: 80 s of CPU and 0.3 GB for twelve to sixteen blocks
 DIVE = 0.1  # of them are kept to complete an order, where none is by then
 
 
