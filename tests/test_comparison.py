@@ -147,6 +147,7 @@ def test_runs_that_cannot_be_compared(tmp_path: Path) -> None:
         compare(a, cube, any_assembly=True)
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_table_a_file_and_a_picture(tmp_path: Path) -> None:
     a = write(tmp_path / "a", [line(k, k % 2 == 0, (True, k % 2 == 0)) for k in range(8)])
     b = write(tmp_path / "b", [line(k, True, (True, True)) for k in range(8)])

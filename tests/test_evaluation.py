@@ -246,6 +246,7 @@ def test_otherwise_it_is_how_the_pieces_lie(
 # --- who runs them ------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_lines_and_summary_do_not_depend_on_the_jobs(tmp_path: Path) -> None:
     seen: list[int] = []
     one = evaluate(
@@ -258,6 +259,7 @@ def test_lines_and_summary_do_not_depend_on_the_jobs(tmp_path: Path) -> None:
     assert {path.name for path in (tmp_path / "one").iterdir()} == {LINES, SUMMARY}
 
 
+@pytest.mark.slow
 def test_neither_an_exception_nor_a_dead_process_stops_the_run(tmp_path: Path) -> None:
     summary, lines = evaluate(SOMA3, 2, tmp_path, episode=fragile)
     assert summary["causes"] == {"crash": 2, "jammed": 1} and summary["failed_seeds"]["crash"] == [1, 3]
@@ -445,6 +447,7 @@ def masked(seed: int, options: EvaluationOptions) -> Line:
     return {"seed": seed, "blocked": signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())}
 
 
+@pytest.mark.slow
 def test_workers_leave_an_interrupt_to_their_parent() -> None:
     """From the first one on, in a process that has started none before."""
     code = f"""
@@ -461,11 +464,16 @@ print([line["blocked"] for line in in_processes([0, 1], t.SOMA3, 2, t.masked)])
 
 
 def test_an_interrupt_while_a_worker_starts_is_not_lost() -> None:
-    with pytest.raises(KeyboardInterrupt):
-        with _inherited():
-            signal.raise_signal(signal.SIGINT)
-            assert signal.SIGINT in signal.sigpending()  # a worker that starts now has it blocked
-    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    # whoever started these tests in the background has it ignored
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            with _inherited():
+                signal.raise_signal(signal.SIGINT)
+                assert signal.SIGINT in signal.sigpending()  # a worker that starts now has it blocked
+        assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 # --- the summary --------------------------------------------------------------------------------------------

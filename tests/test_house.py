@@ -101,7 +101,7 @@ def test_planning_runs_without_the_simulator(layer: str) -> None:
     """Import all modules of a layer, and see that nothing brought the simulator in by another way."""
     names = [
         ".".join(path.relative_to(ROOT).with_suffix("").parts)
-        for path in sorted((PACKAGE / layer).glob("[!_]*.py"))
+        for path in sorted((PACKAGE / layer).rglob("[!_]*.py"))
     ]
     code = (
         f"import importlib, sys; [importlib.import_module(name) for name in {names}]; print('pybullet' in "

@@ -175,6 +175,7 @@ def test_the_frame_of_a_mesh_does_not_matter(name: str, rotation: Array, offset:
     assert other.goal_centres == pytest.approx(assembly.goal_centres, abs=1e-9)
 
 
+@pytest.mark.slow
 @given(name=names, seed=st.integers(0, 1000))
 def test_the_tessellation_does_not_matter(name: str, seed: int) -> None:
     assembly = ASSEMBLIES[name]

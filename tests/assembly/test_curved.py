@@ -52,6 +52,7 @@ def test_a_dowel_touches_its_hole_all_round(sections: int, turn: float) -> None:
     assert (np.abs(reach - RADIUS * 1e-3) < 2 * LARGEST_SAGITTA).all()
 
 
+@pytest.mark.slow
 @settings(max_examples=10)
 @given(turn=st.floats(0.0, 15.0), sections=st.integers(20, 40))
 def test_a_dowel_is_a_peg_whatever_its_tessellation(turn: float, sections: int) -> None:

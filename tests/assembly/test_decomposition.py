@@ -102,6 +102,7 @@ def test_random_differences_are_cut_exactly(seed: int) -> None:
     assert sum(volumes) == pytest.approx(largest.volume() * 1e-9, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_what_curves_inwards_is_approximated_and_says_how_well(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

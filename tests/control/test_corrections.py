@@ -38,7 +38,10 @@ def before_placing(
     poses[segment.piece] = robot.tcp(arm, qs[arm]) @ slip @ T_tcp_piece
     world = SimpleNamespace(measured_joints=lambda: qs, piece_poses=lambda: poses, time=0.0)
     events: list[tuple[str, str, str]] = []
-    executor = SimpleNamespace(world=world, events=events, note_event=lambda *event: events.append(event))
+    note = events.append
+    executor = SimpleNamespace(
+        world=world, events=events, seed=program.seed, note_event=lambda *event: note(event)
+    )
     feed = FeedOptions(noise_mm=noise[0], noise_deg=noise[1])
     executive = Executive(workcell, plan, program, executor, feed, ExecutionOptions())  # type: ignore[arg-type]
     executive.state = executive.state.gripping(arm, segment.piece)

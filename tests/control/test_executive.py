@@ -3,8 +3,6 @@ why."""
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,6 @@ from soma_bullet.control.execute import Executor, Observation
 from soma_bullet.control.executive import Executive
 from soma_bullet.control.options import Compliance, ExecutionOptions
 from soma_bullet.control.recovery import Trouble
-from soma_bullet.task.feed import draw_feed
 from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.program.make import make_program
 from soma_bullet.task.program.overlap.loosen import overlapped
@@ -23,15 +20,10 @@ from soma_bullet.verdict.judge import judge
 from soma_bullet.verdict.options import Tolerance
 from soma_bullet.world.log import ExecutionLog
 from soma_bullet.world.options import Physics
-from tests.soma3 import planned
+from tests.feeds import APART, CROWDED, Lies, laid
+from tests.soma3 import loosened, planned
 
 pytestmark = [pytest.mark.slow, pytest.mark.xdist_group("executive")]
-
-
-@cache
-def loosened() -> Program:
-    workcell, _, program = planned()
-    return overlapped(workcell, program)
 
 
 def executed(moved: str, by: tuple[float, float], options: ExecutionOptions) -> ExecutionLog:
@@ -96,12 +88,12 @@ class _InterruptedHandOver(_Interrupted):
     pieces = 1
 
 
-@pytest.mark.parametrize(("seed", "kind"), [(8405, _Interrupted), (8409, _InterruptedHandOver)])
-def test_goes_on_where_both_hands_have_something(seed: int, kind: type[_Interrupted]) -> None:
+@pytest.mark.parametrize(
+    ("pieces", "kind"), [(APART, _Interrupted), (CROWDED, _InterruptedHandOver)], ids=["two", "one"]
+)
+def test_goes_on_where_both_hands_have_something(pieces: dict[str, Lies], kind: type[_Interrupted]) -> None:
     workcell, plan, _ = planned()
-    program = overlapped(
-        workcell, make_program(workcell, plan, draw_feed(workcell.assembly, plan, workcell.cell, seed), 0)
-    )
+    program = overlapped(workcell, make_program(workcell, plan, laid(workcell, plan, pieces), 0))
     log = ran(
         program, {name: program.feed.pose(name) for name in program.feed.names}, ExecutionOptions(), kind
     )

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from soma_bullet.control.guide import Guide
+from soma_bullet.control.guide import PATIENCE, Guide
 from soma_bullet.control.options import Compliance
 from soma_bullet.frames import Array
 
@@ -116,6 +116,16 @@ def test_what_bounces_is_searched_with_too() -> None:
     for touches in touching:
         light.update(blocked(0.4 if touches else 0.0), DT, left=8e-3)
     assert not light.searching
+
+
+@given(st.floats(0.02, 0.98), st.booleans())
+def test_it_searches_from_its_threshold_on(share: float, above: bool) -> None:
+    """Where the resistance lasts, also one that is hardly enough; where it never is, it does not."""
+    rules = Compliance()
+    guide, newton = Guide(DOWN, rules), rules.search * (1.0 + 0.5 * share if above else share)
+    for _ in range(round((PATIENCE + 2 * DT) / DT)):
+        guide.update(blocked(newton), DT, left=8e-3)
+    assert guide.searching == above
 
 
 def test_it_backs_off_slowly_from_a_rim() -> None:

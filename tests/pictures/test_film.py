@@ -391,6 +391,7 @@ def test_the_same_film_for_any_number_of_processes(
         assert difference.max() < min(1.0, 0.2 * moved), (difference.max(), moved)
 
 
+@pytest.mark.slow
 def test_without_opengl_the_software_renderer_is_announced(
     log: ExecutionLog, assembly: Assembly, cell: Cell, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

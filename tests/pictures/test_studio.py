@@ -103,6 +103,7 @@ def test_joints_by_name_or_in_order(studio: Studio, home: dict[str, float]) -> N
         studio.frame(home, {"green": AT_HOME}, CAMERAS["front"])
 
 
+@pytest.mark.slow
 def test_tiles_join_without_a_seam(
     urdf: Path, home: dict[str, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -118,6 +119,7 @@ def test_tiles_join_without_a_seam(
     assert np.abs(whole - tiled).mean() < 0.5
 
 
+@pytest.mark.slow
 def test_more_exposures_soften_and_move_nothing(urdf: Path, home: dict[str, float]) -> None:
     frames = []
     for count in (1, 4):

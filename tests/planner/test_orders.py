@@ -263,6 +263,7 @@ def never_complete(qualities: Qualities, placed: frozenset[int], piece: int) -> 
     return Judgement(0.0, "would be the last") if len(placed) == 8 else Judgement(1.0)
 
 
+@pytest.mark.slow
 def test_a_search_that_reaches_its_limit_says_so(hand: Hand) -> None:
     """Which order of the cubes is best takes more labels than are allowed."""
     apart, hands = nine_cubes(), HandSet.alike(hand)
@@ -277,6 +278,7 @@ def test_a_search_that_reaches_its_limit_says_so(hand: Hand) -> None:
     assert nearly.score == full.score and nearly.optimality.startswith("exact for the best ")
 
 
+@pytest.mark.slow
 def test_no_order_within_the_limit_is_a_reason(hand: Hand) -> None:
     """Where nothing was found it matters whether everything was looked at."""
     apart, hands = nine_cubes(), HandSet.alike(hand)

@@ -218,6 +218,7 @@ def test_the_plan_survives_its_file(request: pytest.FixtureRequest, tmp_path: Pa
         assert not other.poses.flags.writeable
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["equilibrium", "paper"])
 def test_two_processes_write_the_same_bytes(tmp_path: Path, mode: str) -> None:
     code = (

@@ -6,21 +6,14 @@ from __future__ import annotations
 from itertools import islice
 
 import numpy as np
-import pytest
 
 from soma_bullet.robot.collision import HAND_MARGIN, MARGIN, Situation
 from soma_bullet.task.program.overlap.concurrent import Concurrent, alongside, leaves
-from soma_bullet.task.program.overlap.loosen import overlapped
 from soma_bullet.task.program.overlap.sweeps import CLEARANCE
 from soma_bullet.task.program.program import Program, moments
 from soma_bullet.task.workcell import Workcell
 
 MORE = MARGIN - HAND_MARGIN  # [m] that links keep more than hands
-
-
-@pytest.fixture(scope="module")
-def loosened(workcell: Workcell, program: Program) -> Program:
-    return overlapped(workcell, program)
 
 
 def placings(program: Program) -> list[int]:

@@ -15,10 +15,14 @@ from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import Array
 from soma_bullet.motion.timing import limit_margins
 from soma_bullet.planner.assembly_plan import AssemblyPlan
-from soma_bullet.records import read_npz, write_npz
+from soma_bullet.records import read_npz, to_tree, write_npz
+from soma_bullet.task.actions.action import Action
 from soma_bullet.task.feed import Feed
+from soma_bullet.task.limits import Effort
+from soma_bullet.task.program.builder import WORTH, MotionError, ProgramBuilder
 from soma_bullet.task.program.make import make_program, replan
-from soma_bullet.task.program.program import Program
+from soma_bullet.task.program.program import Moment, Program
+from soma_bullet.task.search.scheduler import Scheduler
 from soma_bullet.task.segment import DT, Segment
 from soma_bullet.task.workcell import Workcell
 
@@ -283,3 +287,49 @@ def test_what_cannot_be_made_from_there_says_so(program: Program, workcell: Work
         match=f"{segment.piece}: lift cannot be made from the measured joints: (unreachable|branch)",
     ):
         replan(workcell, program, k, stretched)
+
+
+# --- a program of which a motion failed ---------------------------------------------------------------------
+
+
+def test_what_an_earlier_schedule_shares_is_taken_over_and_the_rest_made(
+    program: Program, workcell: Workcell, plan: AssemblyPlan, feed: Feed
+) -> None:
+    """As far as the actions are the same; from there on it is what it would have been without."""
+    builder = ProgramBuilder(workcell, feed, program.schedule, 0)
+    first = list(builder.run())
+    again = list(ProgramBuilder(workcell, feed, program.schedule, 0, earlier=builder.made).run())
+    assert all(one is other for one, other in zip(first, again, strict=True))
+    scheduler = Scheduler(workcell, plan, feed)
+    assignment = scheduler.find().assignments[1]
+    scheduler.rule_out(assignment, assignment.insert)
+    other = scheduler.find()
+    assert other.assignments[1].insert.identity != assignment.insert.identity
+    effort = Effort()
+    taken = list(ProgramBuilder(workcell, feed, other, 0, earlier=builder.made, effort=effort).run())
+    fresh = list(ProgramBuilder(workcell, feed, other, 0).run())
+    shared = sum(segment.step == 0 for _, segment, _ in first)
+    assert [one is other for one, other in zip(first, taken, strict=False)].count(True) == shared
+    assert to_tree([segment for _, segment, _ in taken]) == to_tree([segment for _, segment, _ in fresh])
+    made = [segment for _, segment, _ in taken[shared:] if segment.kind.moves]
+    assert effort.lines == WORTH * len(made)
+
+
+def test_a_motion_that_fails_rules_out_what_it_is_of(
+    workcell: Workcell, plan: AssemblyPlan, feed: Feed, program: Program, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The program is of the next schedule, and says what failed."""
+    refused = program.schedule.assignments[0].insert.identity
+    make, failed, told = ProgramBuilder.perform, list[str](), list[str]()
+
+    def perform(self: ProgramBuilder, action: Action) -> Iterator[Moment]:
+        if action.identity == refused:
+            failed.append(action.piece)
+            raise MotionError(f"{action.piece}: insert: made up")
+        yield from make(self, action)
+
+    monkeypatch.setattr(ProgramBuilder, "perform", perform)
+    made = make_program(workcell, plan, feed, 0, told.append)
+    assert failed == [plan.order[0]] and told == [f"{plan.order[0]}: insert: made up"]
+    assert made.schedule.assignments[0].insert.identity != refused
+    assert made.schedule.rejections[told[0]] == 1

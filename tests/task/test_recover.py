@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from soma_bullet.assembly.model import Assembly
 from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import Array, from_quat_xyzw, inverse, make_transform, rotation_about, translate
 from soma_bullet.planner.assembly_plan import AssemblyPlan
@@ -17,10 +16,8 @@ from soma_bullet.robot.model import Cell
 from soma_bullet.task.actions.hold import Hold
 from soma_bullet.task.actions.put_down import PutDown
 from soma_bullet.task.actions.square import Square
-from soma_bullet.task.feed import Feed, draw_feed
-from soma_bullet.task.feed_options import FeedOptions
-from soma_bullet.task.program.make import make_program, recover_program
-from soma_bullet.task.program.overlap.loosen import overlapped
+from soma_bullet.task.feed import Feed
+from soma_bullet.task.program.make import recover_program
 from soma_bullet.task.program.program import Program, moments
 from soma_bullet.task.search.scheduler import Scheduler
 from soma_bullet.task.state import CellState
@@ -183,19 +180,15 @@ def test_a_piece_off_the_table_is_out_of_reach(
         recover_program(workcell, plan, start, 0)
 
 
-@pytest.mark.parametrize("seed", [8405, 8416])
 def test_of_two_pieces_in_hands_the_later_is_put_down(
-    seed: int, workcell: Workcell, soma3: Assembly, plan: AssemblyPlan, cell: Cell
+    workcell: Workcell, plan: AssemblyPlan, loosened: Program
 ) -> None:
     """While one piece is on its way to its place the other arm has fetched the next; then all is planned
     anew."""
-    program = overlapped(
-        workcell, make_program(workcell, plan, draw_feed(soma3, plan, cell, seed, FeedOptions()), 0)
-    )
-    starts = [state for _, _, state in moments(workcell, program)]
+    starts = [state for _, _, state in moments(workcell, loosened)]
     both = [start for start in starts if len({start.gripped[arm] for arm in start.carried}) == 2]
-    assert both
-    for start in both:
+    assert len(both) >= 2
+    for start in (both[0], both[-1]):
         made = recover_program(workcell, plan, start, 3)
         assert_goes_on(workcell, made, start)
         first, later = sorted((start.gripped[arm] for arm in start.carried), key=plan.order.index)

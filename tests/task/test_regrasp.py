@@ -27,31 +27,30 @@ from soma_bullet.robot.collision import Situation
 from soma_bullet.robot.model import Cell
 from soma_bullet.task.actions.hand_over import HandOver
 from soma_bullet.task.actions.put_down import PutDown
-from soma_bullet.task.feed import draw_feed
-from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.program.make import make_program
 from soma_bullet.task.program.motions import scene_for
 from soma_bullet.task.program.program import Program, moments
 from soma_bullet.task.workcell import Workcell
+from tests.feeds import UNSERVED, UNSERVED_FIRST, laid
 
-PUT_DOWN, HANDED_OVER = ("soma3", 8400), ("soma4", 3)  # assemblies and seeds of feeds that need them
+PUT_DOWN, HANDED_OVER = "soma3", "soma4"
+NEEDS = {PUT_DOWN: UNSERVED, HANDED_OVER: UNSERVED_FIRST}  # feeds with which something is regrasped
 
 
-def made(name: str, seed: int, cell: Cell) -> tuple[Workcell, AssemblyPlan, Program]:
+def made(name: str, cell: Cell) -> tuple[Workcell, AssemblyPlan, Program]:
     assembly = load_assembly(name)
     plan, workcell = kept_plan(assembly, cell.hands), Workcell(assembly, cell)
-    feed = draw_feed(assembly, plan, cell, seed, FeedOptions(poses="all"))
-    return workcell, plan, make_program(workcell, plan, feed, seed)
+    return workcell, plan, make_program(workcell, plan, laid(workcell, plan, NEEDS[name]), 0)
 
 
 @pytest.fixture(scope="module")
 def put_down(cell: Cell) -> tuple[Workcell, AssemblyPlan, Program]:
-    return made(*PUT_DOWN, cell)
+    return made(PUT_DOWN, cell)
 
 
 @pytest.fixture(scope="module")
 def handed_over(cell: Cell) -> tuple[Workcell, AssemblyPlan, Program]:
-    return made(*HANDED_OVER, cell)
+    return made(HANDED_OVER, cell)
 
 
 @pytest.fixture(params=["put_down", "handed_over"])
@@ -210,17 +209,17 @@ from pathlib import Path
 from soma_bullet.records import write_npz
 from soma_bullet.robot.cell import load_cell
 from tests.task.test_regrasp import made
-write_npz(made(sys.argv[1], int(sys.argv[2]), load_cell("ur5e_pair"))[2], Path(sys.argv[3]))
+write_npz(made(sys.argv[1], load_cell("ur5e_pair"))[2], Path(sys.argv[2]))
 """
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("which", [PUT_DOWN, HANDED_OVER])
-def test_a_fresh_process_makes_the_same_bytes(which: tuple[str, int], tmp_path: Path) -> None:
+def test_a_fresh_process_makes_the_same_bytes(which: str, tmp_path: Path) -> None:
     digests = set()
     for k in range(2):
         file = tmp_path / f"{k}.npz"
-        arguments = [sys.executable, "-c", FRESH, which[0], str(which[1]), str(file)]
+        arguments = [sys.executable, "-c", FRESH, which, str(file)]
         subprocess.run(
             arguments, check=True, env={"PYTHONHASHSEED": str(k + 1), "PYTHONPATH": ".", "PATH": ""}
         )

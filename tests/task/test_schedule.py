@@ -17,29 +17,26 @@ from soma_bullet.planner.equilibrium import classify
 from soma_bullet.planner.tables import grasp_poses
 from soma_bullet.task.actions.hand_over import HandOver
 from soma_bullet.task.actions.put_down import PutDown
-from soma_bullet.task.feed import Feed, draw_feed
-from soma_bullet.task.feed_options import FeedOptions
+from soma_bullet.task.feed import Feed
 from soma_bullet.task.limits import Effort
 from soma_bullet.task.schedule import Schedule
 from soma_bullet.task.search import placing, search
 from soma_bullet.task.search.scheduler import Scheduler
 from soma_bullet.task.workcell import Workcell
+from tests.feeds import APART, ASKEW, AWKWARD, CROWDED, UNSERVED, laid
 
-SEEDS = (0, 1)
+FEEDS = {"apart": APART, "askew": ASKEW}
 
 
 @pytest.fixture(scope="module")
-def scheduled(workcell: Workcell, plan: AssemblyPlan) -> dict[int, tuple[Feed, Schedule]]:
-    found = {}
-    for seed in SEEDS:
-        feed = draw_feed(workcell.assembly, plan, workcell.cell, seed, FeedOptions(poses="preferred"))
-        found[seed] = feed, Scheduler(workcell, plan, feed).find()
-    return found
+def scheduled(workcell: Workcell, plan: AssemblyPlan) -> dict[str, tuple[Feed, Schedule]]:
+    feeds = {name: laid(workcell, plan, pieces) for name, pieces in FEEDS.items()}
+    return {name: (feed, Scheduler(workcell, plan, feed).find()) for name, feed in feeds.items()}
 
 
-@pytest.fixture(params=SEEDS)
+@pytest.fixture(params=FEEDS)
 def case(
-    request: pytest.FixtureRequest, scheduled: dict[int, tuple[Feed, Schedule]]
+    request: pytest.FixtureRequest, scheduled: dict[str, tuple[Feed, Schedule]]
 ) -> tuple[Feed, Schedule]:
     return scheduled[request.param]
 
@@ -129,9 +126,9 @@ def test_joints_reach_what_they_are_for(
 
 @pytest.mark.slow
 def test_the_same_search_finds_the_same(
-    workcell: Workcell, plan: AssemblyPlan, scheduled: dict[int, tuple[Feed, Schedule]]
+    workcell: Workcell, plan: AssemblyPlan, scheduled: dict[str, tuple[Feed, Schedule]]
 ) -> None:
-    feed, schedule = scheduled[SEEDS[0]]
+    feed, schedule = scheduled["apart"]
     again = Scheduler(workcell, plan, feed).find()
     for a, b in zip(schedule.assignments, again.assignments, strict=True):
         assert (a.arm, a.insert.grasp, a.holds) == (b.arm, b.insert.grasp, b.holds)
@@ -140,9 +137,9 @@ def test_the_same_search_finds_the_same(
 
 
 def test_what_is_excluded_is_not_found_again(
-    workcell: Workcell, plan: AssemblyPlan, scheduled: dict[int, tuple[Feed, Schedule]]
+    workcell: Workcell, plan: AssemblyPlan, scheduled: dict[str, tuple[Feed, Schedule]]
 ) -> None:
-    feed, schedule = scheduled[SEEDS[0]]
+    feed, schedule = scheduled["apart"]
     first = schedule.assignments[0]
     scheduler = Scheduler(workcell, plan, feed)
     scheduler.excluded.steps.add((0, first.insert.identity, ()))
@@ -162,32 +159,59 @@ def test_a_piece_out_of_reach(workcell: Workcell, plan: AssemblyPlan, feed: Feed
     assert "does not reach the feed" in str(caught.value)
 
 
+def put_downs(schedule: Schedule) -> list[PutDown]:
+    return [r for a in schedule.assignments for r in a.regrasps if isinstance(r, PutDown)]
+
+
+@pytest.mark.parametrize("yaw", [0.0, 120.0])
+def test_a_piece_that_no_grasp_serves_is_laid_down_before_the_other_hand_holds(
+    yaw: float, workcell: Workcell, plan: AssemblyPlan
+) -> None:
+    """While the first piece is held one arm alone could bring the second, and cannot turn it."""
+    second = plan.order[1]
+    feed = laid(workcell, plan, {**UNSERVED, second: replace(UNSERVED[second], yaw=yaw)})
+    assert feed.regrasps_needed == 1
+    first, *rest = Scheduler(workcell, plan, feed).find().assignments
+    down = next(r for r in first.regrasps if isinstance(r, PutDown))
+    assert down.piece == second and not any(a.regrasps for a in rest)
+    grasp = grasp_poses(plan, second)[0][rest[0].insert.grasp]
+    np.testing.assert_allclose(
+        workcell.robot.tcp(rest[0].arm, rest[0].pick.q_pick), down.pose_down @ grasp, atol=2e-6
+    )
+
+
 @pytest.mark.slow
 def test_pieces_are_laid_down_where_the_search_comes_farther(
     workcell: Workcell, plan: AssemblyPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Z not being handed over, BigL can only be brought to it from some places, and smallL then lies badly as
-    well."""
-    monkeypatch.setattr(search, "BRIEF", ())
-    scheduler = Scheduler(workcell, plan, draw_feed(workcell.assembly, plan, workcell.cell, 2001))
-    schedule = scheduler.find()
-    moved = [regrasp for a in schedule.assignments for regrasp in a.regrasps if isinstance(regrasp, PutDown)]
-    assert [regrasp.piece for regrasp in moved] == ["BigL", "smallL"]
-    scheduler.rule_out(schedule.assignments[0], moved[0])
-    other = [
-        regrasp
-        for a in scheduler.find().assignments
-        for regrasp in a.regrasps
-        if isinstance(regrasp, PutDown)
-    ]
-    assert all(not np.allclose(regrasp.pose_down, moved[0].pose_down) for regrasp in other)
+    """Whose turn comes while a hand holds, each once, before the first step; what is ruled out is not
+    proposed again."""
+    monkeypatch.setattr(search, "BRIEF", ())  # no piece is handed over just to be held from elsewhere
+    scheduler = Scheduler(workcell, plan, laid(workcell, plan, AWKWARD))
+    held_before = {plan.order[k + 1] for k, step in enumerate(plan.steps[:-1]) if step.holds}
+    seen = set()
+    for _ in range(2):
+        schedule = scheduler.find()
+        first, *rest = schedule.assignments
+        moved = put_downs(schedule)
+        assert moved and not any(isinstance(r, PutDown) for a in rest for r in a.regrasps)
+        pieces = [down.piece for down in moved]
+        assert len(set(pieces)) == len(pieces) and set(pieces) <= held_before
+        beginning = tuple(action.identity for action in first.bring)
+        assert not seen & {beginning[:n] for n in range(len(beginning) + 1)}
+        at = next(n for n, action in enumerate(first.bring) if action is moved[0])
+        seen.add(beginning[: at + 1])
+        scheduler.rule_out(first, moved[0])
 
 
 def test_a_piece_is_handed_over_to_be_held_from_elsewhere(workcell: Workcell, plan: AssemblyPlan) -> None:
-    """However an arm picks Z where it lies, the hand that holds it leaves BigL no room."""
-    scheduler = Scheduler(workcell, plan, draw_feed(workcell.assembly, plan, workcell.cell, 8409))
-    regrasps = [[type(regrasp) for regrasp in a.regrasps] for a in scheduler.find().assignments]
-    assert regrasps == [[HandOver], [], []]
+    """However an arm picks the first piece where it lies, its hand would leave the second no room."""
+    scheduler = Scheduler(workcell, plan, laid(workcell, plan, CROWDED))
+    assert scheduler.feed.regrasps_needed == 0
+    first, *rest = scheduler.find().assignments
+    (regrasp,) = first.regrasps
+    assert isinstance(regrasp, HandOver) and regrasp.receiver == first.arm != regrasp.arm
+    assert not any(a.regrasps for a in rest)
     assert set(scheduler._searches) == {()}  # in the first attempt of the first round
 
 

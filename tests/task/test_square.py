@@ -15,18 +15,17 @@ from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.records import read_npz, write_npz
 from soma_bullet.robot.model import Cell
 from soma_bullet.task.actions.square import ACROSS, Square, squeezing_grips
-from soma_bullet.task.feed import draw_feed
-from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.program.make import make_program
 from soma_bullet.task.program.program import Program, moments
 from soma_bullet.task.workcell import Workcell
+from tests.feeds import APART, laid
 
-NOISE = FeedOptions(poses="preferred", noise_mm=0.5, noise_deg=0.5)
+NOISE = (0.5, 0.5)  # [mm], [deg]
 
 
 @pytest.fixture(scope="module")
-def noisy(workcell: Workcell, plan: AssemblyPlan, cell: Cell) -> Program:
-    return make_program(workcell, plan, draw_feed(workcell.assembly, plan, cell, 0, NOISE), 0)
+def noisy(workcell: Workcell, plan: AssemblyPlan) -> Program:
+    return make_program(workcell, plan, laid(workcell, plan, APART, NOISE), 0)
 
 
 def test_an_exact_feed_is_picked_at_once(program: Program) -> None:
@@ -35,7 +34,7 @@ def test_an_exact_feed_is_picked_at_once(program: Program) -> None:
 
 
 def test_every_piece_is_squared_across_its_grasp(noisy: Program, workcell: Workcell) -> None:
-    assert noisy.feed.noise == (0.5, 0.5)
+    assert noisy.feed.noise == NOISE
     for a in noisy.schedule.assignments:
         (square,) = a.regrasps
         assert isinstance(square, Square) and (square.piece, square.arm) == (a.piece, a.arm)

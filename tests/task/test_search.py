@@ -1,0 +1,350 @@
+"""Parts of the search: which hands are clear of which, what stands, what is known already, what is ruled
+out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from soma_bullet.assembly.hulls import Hull, box_hull
+from soma_bullet.frames import inverse, translate
+from soma_bullet.grasp.clearance import MARGIN, OPENING, SUPPORT_MARGIN
+from soma_bullet.planner.assembly_plan import AssemblyPlan
+from soma_bullet.task.actions import insert, pick
+from soma_bullet.task.actions.action import Action
+from soma_bullet.task.actions.hand_over import HandOver
+from soma_bullet.task.actions.insert import Candidate
+from soma_bullet.task.actions.square import Square
+from soma_bullet.task.feed import Feed
+from soma_bullet.task.lines import Spot
+from soma_bullet.task.schedule import Schedule
+from soma_bullet.task.search.planning import Fetch
+from soma_bullet.task.search.scheduler import Scheduler
+from soma_bullet.task.search.search import Search
+from soma_bullet.task.state import CellState
+from soma_bullet.task.workcell import Workcell
+from tests.feeds import APART, CROWDED, laid
+
+CLOSER = 0.006  # [m] by which a neighbour may lie nearer than it seems
+HOLDERS = 12  # hands that hold, one after another
+
+
+@pytest.fixture
+def search(workcell: Workcell, plan: AssemblyPlan, feed: Feed) -> Search:
+    return Scheduler(workcell, plan, feed).feed_search
+
+
+@pytest.fixture(scope="module")
+def schedule(workcell: Workcell, plan: AssemblyPlan, feed: Feed) -> Schedule:
+    return Scheduler(workcell, plan, feed).find()
+
+
+@pytest.fixture(scope="module")
+def held(workcell: Workcell, feed: Feed, schedule: Schedule) -> CellState:
+    """The first piece stands, and is held."""
+    state = workcell.idle({name: feed.pose(name) for name in feed.names})
+    for action in schedule.assignments[0].actions:
+        state = action.effects(workcell, state)
+    return state.empty_handed(workcell.robot.home)
+
+
+def fetch_of(search: Search, k: int, state: CellState) -> Fetch:
+    piece = search.plan.steps[k].piece
+    return Fetch(piece, search.planning.spots[piece], state)
+
+
+# --- hands and what is in their way -------------------------------------------------------------------------
+
+
+def holding_hand(workcell: Workcell, state: CellState) -> list[Hull]:
+    """The boxes of the hand that holds, as wide as it is, for pieces at their nominal goals."""
+    ((arm, piece),) = state.held.items()
+    at_goal = workcell.goals[piece] @ inverse(workcell.settled[piece])
+    T = at_goal @ workcell.robot.tcp(arm, state.qs[arm])
+    places = [(box, T @ box.T) for box in workcell.hand(arm).boxes(float(state.openings[arm]))]
+    return [box_hull(place[:3, 3], place[:3, :3].T, box.half) for box, place in places]
+
+
+def ways_to_hold(search: Search) -> list[CellState]:
+    """The first piece stands, and is held by one arm, by one grasp after another."""
+    planning, piece, robot = search.planning, search.plan.steps[0].piece, search.workcell.robot
+    graph, goal, found = planning.graph(piece), search.workcell.settled[piece], list[CellState]()
+    allowed = planning.allowed(0)
+    for g in allowed[:: max(1, len(allowed) // HOLDERS)]:
+        for q in robot.inverse(0, goal @ graph.poses[g], robot.home[0])[:1]:
+            state = planning.empty(1).with_arm(0, q, float(graph.widths[g]))
+            found.append(state.gripping(0, piece))
+    return found
+
+
+def test_grasps_are_chosen_by_where_the_holding_hand_is(search: Search, workcell: Workcell) -> None:
+    """Those, and only those, whose hand keeps clear of it and of what stands, along the way in and back."""
+    planning, piece = search.planning, search.plan.steps[1].piece
+    allowed, graph, goal = planning.allowed(1), planning.graph(piece), workcell.goals[piece]
+    way = insert.insertion(planning, 1).sweep()[-1]
+    sweeps = graph.sweep(goal, allowed, way_out=0.0, sweep=way), graph.sweep(goal, allowed)
+    counts = {True: 0, False: 0}
+    for state in ways_to_hold(search):
+        placed = [part.moved(workcell.goals[n]) for n in state.placed for part in workcell.body(n).parts]
+        gaps = np.min([sweep.separation(holding_hand(workcell, state)) for sweep in sweeps], axis=0)
+        clear = (gaps > MARGIN) & (sweeps[0].separation(placed) > 0.0)
+        before = sum(planning.lines.refusals.counts.values())
+        np.testing.assert_array_equal(search.placer.chosen(1, state), allowed[clear])
+        assert sum(planning.lines.refusals.counts.values()) - before == int((~clear).sum())
+        counts[True], counts[False] = counts[True] + int(clear.sum()), counts[False] + int((~clear).sum())
+    assert min(counts.values()) > 100
+
+
+def test_what_lies_beside_a_piece_is_kept_clear_of_by_its_error_as_well(
+    search: Search, feed: Feed, workcell: Workcell
+) -> None:
+    planning = search.planning
+    piece, other = (step.piece for step in search.plan.steps[:2])
+    spot, graph = planning.spots[piece], planning.graph(piece)
+    beside = translate(spot.pose, (2.5 * workcell.body(piece).radius, 0.0, 0.0))
+    state = planning.empty(0).moved(other, beside)
+    parts = [part.moved(beside) for part in workcell.body(other).parts]
+    sweep = graph.sweep(spot.pose, opening=OPENING)
+    above = sweep.above(0.0) > SUPPORT_MARGIN
+    clear = {}
+    for off in (0.0, CLOSER):
+        planning.spots[other] = Spot(beside, off)
+        planning.forget()
+        clear[off] = planning.clear_at(Fetch(piece, spot, state), spot)
+        third = [n for n in state.poses if n not in (piece, other)]
+        rest = [p.moved(state.poses[n]) for n in third for p in workcell.body(n).parts]
+        expected = above & (sweep.separation(parts) > MARGIN + off) & (sweep.separation(rest) > MARGIN)
+        np.testing.assert_array_equal(clear[off], expected)
+    assert (clear[0.0] & ~clear[CLOSER]).any() and clear[CLOSER].any()
+
+
+def test_a_piece_that_is_not_quite_there_is_met_with_a_wider_hand(search: Search) -> None:
+    planning, state = search.planning, search.planning.empty(0)
+    piece = search.plan.steps[0].piece
+    graph, hand, pose = planning.graph(piece), planning.workcell.hand(0), planning.spots[piece].pose
+    grip = graph.grip(int(np.argmin(graph.widths)))
+    exact, loose, very = (planning.opened(piece, Spot(pose, off), 0, grip) for off in (0.0, CLOSER, 1.0))
+    assert exact == pytest.approx(grip.width + 2 * OPENING)
+    assert loose == pytest.approx(exact + 2 * CLOSER) and very == hand.opening
+    fetch = Fetch(piece, Spot(pose, CLOSER), state)
+    clear = planning.clear_at(fetch, fetch.source)
+    assert not clear[graph.widths + 2 * CLOSER > hand.opening].any()
+
+
+# --- what stands --------------------------------------------------------------------------------------------
+
+
+def test_a_state_stands_as_the_plan_says(search: Search) -> None:
+    placed, changes = frozenset[str](), search.placer.changes
+    for step in search.plan.steps:
+        placed |= {step.piece}
+        holds = frozenset(hold.piece for hold in step.holds)
+        assert changes.stands(placed, holds)
+        if holds:
+            assert not changes.stands(placed, frozenset())
+
+
+def test_nothing_is_let_go_of_that_would_fall(
+    workcell: Workcell, plan: AssemblyPlan, feed: Feed, held: CellState
+) -> None:
+    """Also where a plan does not ask for the hold."""
+    careless = replace(plan, steps=(replace(plan.steps[0], holds=()), *plan.steps[1:]))
+    search = Scheduler(workcell, careless, feed).feed_search
+    assert search.placer.changes.settle(0, held) is None
+    assert any("let the state fall" in r.cause for r in search.lines.refusals.counts)
+    kept = Scheduler(workcell, plan, feed).feed_search.placer.changes.settle(0, held)
+    assert kept is not None and kept.actions == () and kept.state.held == held.held
+
+
+def test_a_hand_that_need_not_hold_any_more_goes(
+    workcell: Workcell, plan: AssemblyPlan, feed: Feed, schedule: Schedule, held: CellState
+) -> None:
+    """The second piece is in place, in the other hand, which holds it from then on."""
+    state = held
+    for action in (*schedule.assignments[1].bring, schedule.assignments[1].insert):
+        state = action.effects(workcell, state)
+    assert len(state.held) == 2
+    changed = Scheduler(workcell, plan, feed).feed_search.placer.changes.settle(1, state)
+    assert changed is not None
+    assert set(changed.state.held.values()) == {hold.piece for hold in plan.steps[1].holds}
+    for arm in changed.state.free:
+        np.testing.assert_array_equal(changed.state.qs[arm], workcell.robot.home[arm])
+
+
+# --- what is known already ----------------------------------------------------------------------------------
+
+
+def both_arms(search: Search, k: int, found: Callable[[int, Fetch, int], bool]) -> int:
+    """A grasp of the piece of a step that `found` holds of for either arm."""
+    fetch = fetch_of(search, k, search.planning.empty(k))
+    return next(
+        int(g) for g in search.planning.allowed(k) if all(found(arm, fetch, int(g)) for arm in (0, 1))
+    )
+
+
+def test_each_arm_has_its_own_picks(search: Search, workcell: Workcell) -> None:
+    planning, fetch = search.planning, fetch_of(search, 0, search.planning.empty(0))
+    graph = planning.graph(fetch.piece)
+
+    def picked_by(arm: int, fetch: Fetch, g: int) -> bool:
+        return bool(pick.candidates(planning, fetch, fetch.source, arm, graph.grip(g)))
+
+    grip = graph.grip(both_arms(search, 0, picked_by))
+    for arm in (0, 1):
+        for approach, lift in pick.candidates(planning, fetch, fetch.source, arm, grip):
+            for line in (approach, lift):
+                np.testing.assert_allclose(
+                    workcell.robot.tcp(arm, line[0]), fetch.source.pose @ grip.T_piece_tcp, atol=1e-5
+                )
+        picked = pick.check(planning, fetch, fetch.source, arm, grip)
+        assert picked is not None and picked.arm == arm
+        assert pick.check(planning, fetch, fetch.source, arm, grip) is picked
+
+
+def test_each_arm_has_its_own_insertions(search: Search, workcell: Workcell) -> None:
+    planning, piece = search.planning, search.plan.steps[0].piece
+    graph = planning.graph(piece)
+    index = both_arms(
+        search, 0, lambda arm, _, g: bool(insert.candidates(planning, 0, Candidate(arm, graph.grip(g))))
+    )
+    grip = graph.grip(index)
+    for arm in (0, 1):
+        for line in insert.candidates(planning, 0, Candidate(arm, grip)):
+            np.testing.assert_allclose(
+                workcell.robot.tcp(arm, line[0]), workcell.settled[piece] @ grip.T_piece_tcp, atol=1e-5
+            )
+
+
+def test_a_pick_is_looked_at_anew_where_the_other_arm_is_elsewhere(
+    search: Search, workcell: Workcell, held: CellState
+) -> None:
+    """As if the hand that holds were at the piece that is to be picked."""
+    planning = search.planning
+    fetch = fetch_of(search, 1, held)
+    ((holder, piece),) = held.held.items()
+    arm, graph = 1 - holder, planning.graph(fetch.piece)
+    picked = next(
+        found
+        for g in planning.allowed(1)
+        if (found := pick.check(planning, fetch, fetch.source, arm, graph.grip(int(g)))) is not None
+    )
+    T = workcell.robot.tcp(arm, picked.q_pick)
+    in_the_way = workcell.robot.inverse(holder, T, held.qs[holder])
+    assert len(in_the_way)
+    elsewhere = replace(fetch, state=held.with_arm(holder, in_the_way[0]))
+    assert pick.check(planning, elsewhere, fetch.source, arm, graph.grip(picked.grasp)) is None
+    assert pick.check(planning, fetch, fetch.source, arm, graph.grip(picked.grasp)) is picked
+
+
+def test_what_lies_elsewhere_is_looked_at_anew(search: Search) -> None:
+    planning, state = search.planning, search.planning.empty(0)
+    piece, other = (step.piece for step in search.plan.steps[:2])
+    fetch = Fetch(piece, planning.spots[piece], state)
+    before = planning.clear_at(fetch, fetch.source)
+    upon = replace(fetch, state=state.moved(other, fetch.source.pose))
+    planning.forget()
+    assert (before & ~planning.clear_at(upon, fetch.source)).any()
+
+
+# --- what is ruled out --------------------------------------------------------------------------------------
+
+
+def blamed(which: str, schedule: Schedule) -> Action:
+    first = schedule.assignments[0]
+    bring = {"hand over": first.bring[-1], "first": first.bring[0]}
+    action = {"pick": first.pick, "insert": first.insert, **bring}[which]
+    assert action is not None
+    return action
+
+
+@pytest.mark.parametrize("which", ["pick", "insert"])
+def test_an_insertion_that_is_to_blame_is_ruled_out_however_the_piece_comes(
+    which: str, workcell: Workcell, plan: AssemblyPlan, feed: Feed
+) -> None:
+    scheduler = Scheduler(workcell, plan, feed)
+    found = scheduler.find()
+    first = found.assignments[0]
+    scheduler.rule_out(first, blamed(which, found))
+    placer = scheduler.feed_search.placer
+    assert placer.ruled_out(first) and placer.ruled_out(replace(first, bring=()))
+    grip = scheduler.feed_search.planning.graph(first.piece).grip(first.insert.grasp)
+    assert placer.refused(0, Candidate(first.arm, grip))
+    assert not placer.refused(1, Candidate(first.arm, grip))
+    assert not placer.refused(0, Candidate(1 - first.arm, grip))
+    again = scheduler.find().assignments[0]
+    assert again.insert.identity != first.insert.identity
+
+
+def test_an_insertion_that_is_to_blame_is_ruled_out_also_where_the_piece_was_handed_over(
+    workcell: Workcell, plan: AssemblyPlan
+) -> None:
+    scheduler = Scheduler(workcell, plan, laid(workcell, plan, CROWDED))
+    first = scheduler.find().assignments[0]
+    assert first.regrasps
+    scheduler.rule_out(first, first.insert)
+    placer = scheduler.feed_search.placer
+    assert placer.ruled_out(first) and placer.ruled_out(replace(first, bring=()))
+
+
+@pytest.mark.parametrize("which", ["hand over", "first"])
+def test_a_way_to_bring_a_piece_is_ruled_out_by_itself(
+    which: str, workcell: Workcell, plan: AssemblyPlan
+) -> None:
+    scheduler = Scheduler(workcell, plan, laid(workcell, plan, CROWDED))
+    found = scheduler.find()
+    first = found.assignments[0]
+    assert isinstance(first.bring[-1], HandOver)
+    scheduler.rule_out(first, blamed(which, found))
+    placer = scheduler.feed_search.placer
+    assert placer.ruled_out(first) and not placer.ruled_out(replace(first, bring=()))
+    grip = scheduler.feed_search.planning.graph(first.piece).grip(first.insert.grasp)
+    assert not placer.refused(0, Candidate(first.arm, grip))
+    again = scheduler.find().assignments[0]
+    assert [a.identity for a in again.bring] != [a.identity for a in first.bring]
+
+
+def test_a_squaring_is_ruled_out_by_itself(workcell: Workcell, plan: AssemblyPlan) -> None:
+    scheduler = Scheduler(workcell, plan, laid(workcell, plan, APART, (0.5, 0.5)))
+    first = scheduler.find().assignments[0]
+    square = first.bring[0]
+    assert isinstance(square, Square)
+    scheduler.rule_out(first, square)
+    assert scheduler.excluded.actions == {square.identity} and not scheduler.excluded.steps
+    again = scheduler.find().assignments[0]
+    assert again.insert.identity == first.insert.identity
+    assert square.identity not in [action.identity for action in again.bring]
+
+
+# --- the order of the search --------------------------------------------------------------------------------
+
+
+def test_what_no_step_follows_is_tried_once_but_at_each_step_for_itself(
+    search: Search, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A made-up search of three steps: nothing follows the hands as they are after B, but what begins with
+    them."""
+    state, robot = search.planning.empty(0), search.workcell.robot
+    after = {
+        name: state.gripping(k % 2, name).with_arm(k % 2, robot.home[k % 2] + k)
+        for k, name in enumerate("ABC")
+    }
+    ways = {(0, ""): "AB", (1, "A"): "BB", (1, "B"): "C", (2, "C"): "A"}
+    tried = list[tuple[int, str]]()
+
+    def assignments(k: int, now: CellState, width: int, ranked: object) -> Iterator[tuple[str, CellState]]:
+        name = "".join(now.gripped.values())
+        tried.append((k, name))
+        yield from ((way, after[way]) for way in ways.get((k, name), ""))
+
+    monkeypatch.setattr(search, "_assignments", assignments)
+    monkeypatch.setattr(search, "_as_option", lambda way: None)
+    monkeypatch.setattr(search, "placer", SimpleNamespace(ruled_out=lambda way: False))
+    arms: Any = SimpleNamespace(ranked=lambda k, previous: [])
+    (found,) = search._search(0, state, 8, None, arms)
+    assert found == ["B", "C", "A"]
+    assert tried == [(0, ""), (1, "A"), (2, "B"), (1, "B"), (2, "C")]

@@ -1,0 +1,74 @@
+"""Sizes: what was measured for Soma pieces holds for these, and grows and shrinks with the pieces, within
+bounds."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from soma_bullet.assembly.file import load_assembly
+from soma_bullet.sizes import FINGER, LARGEST, LEAST, MOST, SMALLEST, Sizes, way_out
+
+SOMA = {  # [m], [N]
+    "run_in": 0.012,
+    "lift": 0.06,
+    "place": 0.010,
+    "near": 0.001,
+    "before_near": 0.003,
+    "beyond": 0.0015,
+    "fall": 0.001,
+    "jam": 0.001,
+    "seated": 0.00035,
+    "empty": 0.002,
+    "apart": 0.010,
+    "room": 0.02,
+    "guard": 1.0,
+    "touch": 0.3,
+    "resting": 0.15,
+}
+radii = st.lists(st.floats(1e-3, 0.5), min_size=1, max_size=9)
+
+
+def test_every_size_has_its_soma_value_here() -> None:
+    assert {name for name, member in vars(Sizes).items() if isinstance(member, cached_property)} == set(SOMA)
+
+
+@pytest.mark.parametrize("name", ["soma3", "soma4", "cube"])
+def test_soma_pieces_have_somas_values(name: str) -> None:
+    sizes = Sizes.of([piece.radius for piece in load_assembly(name).pieces])
+    assert sizes.scale == 1.0
+    assert {name: getattr(sizes, name) for name in SOMA} == pytest.approx(SOMA)
+
+
+@given(radii)
+def test_sizes_are_bounded(found: list[float]) -> None:
+    assert LEAST <= Sizes.of(found).scale <= MOST
+
+
+@given(radii, st.floats(1.0, 4.0))
+def test_larger_pieces_have_no_smaller_sizes(found: list[float], factor: float) -> None:
+    small, large = Sizes.of(found), Sizes.of([factor * radius for radius in found])
+    assert small.scale <= large.scale * (1 + 1e-12)
+    for name, value in SOMA.items():
+        assert getattr(small, name) == pytest.approx(value * small.scale)
+        assert getattr(small, name) <= getattr(large, name) * (1 + 1e-12)
+
+
+@given(st.floats(1e-3, 0.5))
+def test_there_is_no_step_between_soma_and_others(radius: float) -> None:
+    near = Sizes.of([radius * 1.001]).scale / Sizes.of([radius]).scale
+    assert 1.0 - 1e-12 <= near <= 1.001 + 1e-12
+    assert (Sizes.of([radius]).scale == 1.0) == (SMALLEST <= radius <= LARGEST)
+
+
+@given(st.floats(0.01, 0.05), st.floats(1e-3, 1e-2))
+def test_a_few_odd_pieces_change_nothing(radius: float, odd: float) -> None:
+    assert Sizes.of([radius] * 3 + [odd, 100 * odd]) == Sizes.of([radius])
+
+
+def test_a_hand_with_longer_fingers_goes_farther() -> None:
+    assert way_out(FINGER) == pytest.approx(0.06)
+    assert way_out(2 * FINGER) == pytest.approx(2 * way_out(FINGER))
