@@ -235,8 +235,10 @@ def test_a_plan_for_another_hand(
 ) -> None:
     (tmp_path / "run").mkdir()
     plan = read_json(AssemblyPlan, planned / "plan.json")
-    write_json(replace(plan, hands=("other_hand", "slim_hand")), tmp_path / "run/plan.json")
-    assert "was made for the hands other_hand, slim_hand, not slim_hand, slim_hand" in refused(
+    write_json(
+        replace(plan, hands=("slim_hand", "other_hand"), hand_kinds=(0, 1)), tmp_path / "run/plan.json"
+    )
+    assert "was made for the hands slim_hand, other_hand, not slim_hand, slim_hand" in refused(
         ["soma3", "--from", "run/plan.json"], capsys
     )
 

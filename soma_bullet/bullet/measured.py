@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.bullet.quiet import pybullet as p
-from soma_bullet.bullet.stage import Part, Stage, time_step
+from soma_bullet.bullet.stage import Part, Stage
 from soma_bullet.frames import Array, make_transform
 from soma_bullet.robot.model import Cell
 from soma_bullet.world.options import Physics
@@ -51,7 +51,7 @@ class Measured(Stage):
     @property
     def time(self) -> float:
         """[s] since the start."""
-        return self.steps * time_step(self.physics)
+        return self.steps * self.time_step
 
     def measured_joints(self) -> tuple[Array, ...]:
         """Joints (n,) [rad] of each arm."""

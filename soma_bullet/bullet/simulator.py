@@ -9,7 +9,6 @@ import numpy as np
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.bullet.measured import Measured
 from soma_bullet.bullet.quiet import pybullet as p
-from soma_bullet.bullet.stage import time_step
 from soma_bullet.bullet.upkeep import GripUpkeep
 from soma_bullet.frames import Array, apply, inverse
 from soma_bullet.robot.model import Cell
@@ -45,9 +44,12 @@ class BulletSimulator(Measured):
         physics: Physics,
     ):
         super().__init__(cell, assembly, stand, poses, home, physics)
-        self._looks_every = round(LOOKS_EVERY / time_step(physics))
+        self._looks_every = round(LOOKS_EVERY / self.time_step)
         self.last_looked: Array | None = None
         self._efforts = [arm.effort.tolist() for arm in cell.arms]
+        # targets before those of the next sample, of arms that are told new ones: steps between two samples
+        # go from one to the other
+        self._from: list[Array | None] = [None] * len(cell.arms)
         self._squeezing = [0.0] * len(cell.arms)  # [N]
         self._forming = [0] * len(cell.arms)  # steps until the contacts of a hand's pads have formed anew
         for arm, q in enumerate(home):
@@ -57,11 +59,17 @@ class BulletSimulator(Measured):
     # --- commands -------------------------------------------------------------------------------------------
 
     def command_arm(self, arm: int, q: Array) -> None:
-        """Joint targets (n,) of one arm for the next step."""
+        """Joint targets (n,) of one arm for the next sample."""
+        if self.substeps > 1 and self._from[arm] is None:
+            self._from[arm] = self.targets[arm]
         self.targets[arm] = np.array(q, float)
+        self._drive(arm, self.targets[arm])
+
+    def _drive(self, arm: int, q: Array) -> None:
+        """Joint targets (n,) of one arm for the next step."""
         joints = self.arm_joints[arm]
         p.setJointMotorControlArray(
-            self.robots[arm], joints, p.POSITION_CONTROL, targetPositions=np.asarray(q, float).tolist(),
+            self.robots[arm], joints, p.POSITION_CONTROL, targetPositions=q.tolist(),
             targetVelocities=[0.0] * len(joints), forces=self._efforts[arm],
             positionGains=[1.0] * len(joints), velocityGains=[1.0] * len(joints), physicsClientId=self.client,
         )  # fmt: skip
@@ -82,10 +90,7 @@ class BulletSimulator(Measured):
         with few contacts may turn the piece at that speed for one step, until the others are found."""
         for joint, mass in zip(self.finger_joints[arm], self.finger_masses[arm], strict=True):
             firm = (
-                force
-                * time_step(self.physics)
-                / mass
-                / (self.physics.iterations if self._forming[arm] else SETTLED)
+                force * self.time_step / mass / (self.physics.iterations if self._forming[arm] else SETTLED)
             )
             speed = (
                 firm
@@ -159,8 +164,12 @@ class BulletSimulator(Measured):
 
     def advance(self) -> None:
         """One sample of a trajectory with the current commands."""
-        for _ in range(self.physics.substeps):
+        for k in range(1, self.substeps + 1):
+            for arm, (before, target) in enumerate(zip(self._from, self.targets, strict=True)):
+                if before is not None:
+                    self._drive(arm, before + (target - before) * (k / self.substeps))
             self.step()
+        self._from = [None] * len(self._from)
 
     def target(self, arm: int) -> Array:
         """Joint targets (n,) [rad] that an arm was told last."""

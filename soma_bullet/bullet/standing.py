@@ -11,7 +11,7 @@ import numpy as np
 
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.bullet.quiet import pybullet as p
-from soma_bullet.bullet.stage import Stage, time_step
+from soma_bullet.bullet.stage import Stage
 from soma_bullet.frames import Array, apply, make_transform, readonly, rotation_angle, translate
 from soma_bullet.frames import from_quat_xyzw as transform_of
 from soma_bullet.robot.model import Cell
@@ -103,7 +103,7 @@ class _Bench(Stage):
 
     def run(self, seconds: float) -> None:
         """Let time pass [s]."""
-        for _ in range(round(seconds / time_step(self.physics))):
+        for _ in range(round(seconds / self.time_step)):
             p.stepSimulation(physicsClientId=self.client)
 
     def piece_poses(self) -> dict[str, Array]:

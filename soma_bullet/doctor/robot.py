@@ -60,7 +60,6 @@ def check_physics() -> Iterator[Finding]:
 
     from soma_bullet.assembly.file import load_assembly
     from soma_bullet.bullet.simulator import BulletSimulator
-    from soma_bullet.bullet.stage import time_step
     from soma_bullet.frames import apply, translate
     from soma_bullet.robot.cell import load_cell
     from soma_bullet.task.workcell import Workcell
@@ -81,7 +80,7 @@ def check_physics() -> Iterator[Finding]:
         yield Finding(
             "pybullet, no window", "good", f"the cell is loaded in {time.perf_counter() - start:.1f} s"
         )
-        start, steps = time.perf_counter(), round(FALL / time_step(Physics()))
+        start, steps = time.perf_counter(), round(FALL / world.time_step)
         for _ in range(steps):
             world.step()
         factor = FALL / (time.perf_counter() - start)

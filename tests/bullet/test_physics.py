@@ -16,7 +16,6 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.bullet.quiet import pybullet as p
 from soma_bullet.bullet.simulator import LOOKS_EVERY, BulletSimulator
-from soma_bullet.bullet.stage import time_step
 from soma_bullet.bullet.upkeep import EVERY, STALE, STALE_POINTS
 from soma_bullet.frames import (
     Array,
@@ -77,7 +76,7 @@ def running(
 
 
 def run(world: BulletSimulator, seconds: float) -> None:
-    for _ in range(round(seconds / time_step(world.physics))):
+    for _ in range(round(seconds / world.time_step)):
         world.step()
 
 
