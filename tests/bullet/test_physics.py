@@ -226,7 +226,7 @@ def knocked(cell: Cell, asleep: float) -> tuple[Array, Array]:
         b.name: make_transform(translation=(0, 0.25, 0)) @ goal
         for b, goal in zip(blocks, whole.goals, strict=True)
     }
-    with running(cell, whole, poses, Physics(asleep=asleep)) as world:
+    with running(cell, whole, poses, Physics(asleep=asleep, substeps=1)) as world:
         kicked = world.pieces["beside"]
         p.changeDynamics(
             kicked, -1, activationState=p.ACTIVATION_STATE_DISABLE_SLEEPING, physicsClientId=world.client
