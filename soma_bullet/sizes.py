@@ -88,6 +88,21 @@ class Sizes:
         return 2e-3 * self.scale
 
     @cached_property
+    def fallen(self) -> float:
+        """A placed piece that is seen farther from its goal has fallen [m]."""
+        return 5e-3 * self.scale
+
+    @cached_property
+    def gone(self) -> float:
+        """A piece that a hand would have to move farther for is not in the hand any more [m]."""
+        return 15e-3 * self.scale
+
+    @cached_property
+    def aside(self) -> float:
+        """From a grasp to the centre of mass: costs as much as a pad of which nothing is on it [m]."""
+        return 0.03 * self.scale
+
+    @cached_property
     def apart(self) -> float:
         """Between the outlines of two pieces of a feed [m]."""
         return 0.010 * self.scale

@@ -16,7 +16,6 @@ from soma_bullet.task.program.overlap.concurrent import Concurrent
 from soma_bullet.task.segment import Segment
 from soma_bullet.task.workcell import Workcell
 
-GONE_MM = 15.0  # [mm] a piece that a hand would have to move farther for is not in the hand any more
 CERTAIN_MM, CERTAIN_DEG = 0.1, 0.2  # [mm], [deg] smaller differences are not worth a correction
 # [rad] of each joint by a correction; of more it is a share: the arm's joints, and the last three, the
 # wrist's
@@ -46,9 +45,9 @@ class Displacement:
     turn: Array
 
     @property
-    def gone(self) -> bool:
-        """Whether the piece cannot be in the hand."""
-        return bool(np.linalg.norm(self.shift) > GONE_MM * 1e-3)
+    def size(self) -> float:
+        """How far the hand has to move [m]."""
+        return float(np.linalg.norm(self.shift))
 
     def counts(self, mm: float, deg: float) -> bool:
         """Whether it is worth a correction where up to so many [mm] and [deg] of it may be the eye's

@@ -80,7 +80,7 @@ class Placement:
         off = displacement(self.workcell, segment, q, seen)
         if sigmas and not off.counts(*(sigmas * np.array(self.perception.noise) / np.sqrt(looks))):
             return Correction(segment)
-        if off.gone:
+        if off.size > self.workcell.sizes.gone:
             return Correction(segment, "lost")
         return correct(self.workcell.robot, segment, off, concurrent(), q, utmost=not alone())
 

@@ -23,7 +23,7 @@ from soma_bullet.task.segment import DT, NO_PATH, OPENING_TIME, Segment
 from soma_bullet.task.state import CellState
 from soma_bullet.task.workcell import Workcell
 
-OFF_MM, OFF_DEG = 5.0, 10.0  # [mm], [deg] a piece that is seen farther from its goal has been lost
+FALLEN_DEG = 10.0  # [deg] a placed piece that is seen turned farther has fallen
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,7 @@ class Recovery:
         goal, piece = self.workcell.settled[name], self.workcell.body(name)
         shift = np.linalg.norm(apply(pose, piece.center_of_mass) - apply(goal, piece.center_of_mass))
         turned = rotation_angle(pose[:3, :3], goal[:3, :3])
-        return bool(shift > OFF_MM * 1e-3 or turned > np.deg2rad(OFF_DEG))
+        return bool(shift > self.workcell.sizes.fallen or turned > np.deg2rad(FALLEN_DEG))
 
     def found(self, program: Program, state: CellState, trouble: Trouble | None) -> CellState:
         """The state to go on from, as it is seen and measured.

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from soma_bullet.control.correction import GONE_MM, SHARES, Correction
+from soma_bullet.control.correction import SHARES, Correction
 from soma_bullet.control.executive import Executive
 from soma_bullet.control.options import ExecutionOptions
 from soma_bullet.control.placement import DOUBT, LOOKS
@@ -142,7 +142,7 @@ def test_a_hand_that_closes_counts_as_carrying() -> None:
 
 
 def test_a_piece_that_is_seen_far_away_is_lost() -> None:
-    executive, segment = before_placing(np.array((0.0, 0.0, 1.1 * GONE_MM * 1e-3)), NOTHING)
+    executive, segment = before_placing(np.array((0.0, 0.0, 1.1 * planned()[0].sizes.gone)), NOTHING)
     assert corrected(executive, segment).fault == "lost"
 
 

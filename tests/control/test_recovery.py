@@ -14,7 +14,7 @@ from soma_bullet.control.executive import RECOVERIES, Executive
 from soma_bullet.control.options import Compliance, ExecutionOptions
 from soma_bullet.control.perception import Perception
 from soma_bullet.control.placement import AGAIN
-from soma_bullet.control.recovery import OFF_DEG, OFF_MM, Recovery, Trouble
+from soma_bullet.control.recovery import FALLEN_DEG, Recovery, Trouble
 from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import Array, apply, inverse, make_transform, rotation_about, translate
 from soma_bullet.grasp.clearance import OPENING
@@ -335,21 +335,22 @@ def test_of_two_hands_on_one_piece_one_lets_go() -> None:
 
 
 @pytest.mark.parametrize(
-    ("mm", "deg", "fallen"),
+    ("share", "deg", "fallen"),
     [
-        (0.9 * OFF_MM, 0.0, False),
-        (1.1 * OFF_MM, 0.0, True),
-        (0.0, 0.9 * OFF_DEG, False),
-        (0.0, 1.1 * OFF_DEG, True),
+        (0.9, 0.0, False),
+        (1.1, 0.0, True),
+        (0.0, 0.9 * FALLEN_DEG, False),
+        (0.0, 1.1 * FALLEN_DEG, True),
     ],
 )
-def test_a_piece_that_is_seen_far_from_its_goal_has_fallen(mm: float, deg: float, fallen: bool) -> None:
+def test_a_piece_that_is_seen_far_from_its_goal_has_fallen(share: float, deg: float, fallen: bool) -> None:
     workcell, plan, program = planned()
     piece = plan.order[0]
     state, body = held_while_carried(), workcell.body(piece)
     about = translate(np.eye(4), apply(workcell.settled[piece], body.center_of_mass))
     turn = about @ make_transform(rotation_about((0, 0, 1), np.deg2rad(deg))) @ inverse(about)
-    poses = {**state.poses, piece: translate(turn @ workcell.settled[piece], (mm * 1e-3, 0.0, 0.0))}
+    shift = (share * workcell.sizes.fallen, 0.0, 0.0)
+    poses = {**state.poses, piece: translate(turn @ workcell.settled[piece], shift)}
     there = recovery(world_in(state), program)
     assert there.fallen(state, poses) == ([piece] if fallen else [])
     assert plan.order[1] not in there.fallen(state, {**poses, plan.order[1]: np.eye(4)})

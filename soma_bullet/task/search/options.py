@@ -21,7 +21,6 @@ AWKWARD = 0.5  # [s] that the cost of a grasp counts as
 BEYOND = 5.0  # cost of a grasp for each metre that the wrist is beyond the stand
 WRIST = 0.25  # [m] from the pads back to the wrist
 NEAR = 0.05  # [m] before the stand's middle, where beyond begins
-ASIDE = 0.03  # [m] from the centre of mass that costs as much as a pad of which nothing lies on the piece
 
 
 def options(planning: Planning, k: int, fetch: Fetch) -> list[Option]:
@@ -114,7 +113,7 @@ def awkwardness(planning: Planning, fetch: Fetch, indices: Indices) -> Array:
     graph, source = planning.graph(fetch.piece), fetch.source.pose
     places = (source @ graph.poses[indices])[:, :3, 3]
     reach = np.linalg.norm(places - apply(source, graph.piece.center_of_mass), axis=1)
-    aside = reach / (ASIDE * planning.sizes.scale)
+    aside = reach / planning.sizes.aside
     return np.asarray(aside + (1 - graph.contact[indices]) + 0.5 * _tilt(planning, fetch, indices))
 
 
