@@ -31,6 +31,7 @@ def said(capsys: Captured) -> str:
     return re.sub(r"[\s│├└─]+", " ", captured.err)
 
 
+@pytest.mark.slow
 def test_one_run_plans_explains_draws_and_writes(capsys: Captured) -> None:
     arguments = [
         "soma3",

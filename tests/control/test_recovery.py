@@ -167,8 +167,10 @@ def handing_over() -> Program:
 
 @pytest.mark.parametrize(
     ("program", "kind"),
-    [(loosened, Interrupted), (handing_over, InterruptedHandOver)],
-    ids=["two pieces", "a hand-over"],
+    [
+        pytest.param(loosened, Interrupted, id="two pieces"),
+        pytest.param(handing_over, InterruptedHandOver, id="a hand-over", marks=pytest.mark.slow),
+    ],
 )
 def test_goes_on_where_both_hands_have_something(
     program: Callable[[], Program], kind: type[Interrupted]

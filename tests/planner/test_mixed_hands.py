@@ -105,7 +105,7 @@ def test_g_counts_the_grasps_of_all_hands(soma4: Assembly, mixed: AssemblyPlan, 
         )
 
 
-@pytest.mark.parametrize("name", ["soma3", "leaning_bridge"])
+@pytest.mark.parametrize("name", ["soma3", pytest.param("leaning_bridge", marks=pytest.mark.slow)])
 def test_hands_that_are_alike_are_one(name: str, hand: Hand) -> None:
     whole = load_assembly(name)
     twice = HandSet.of([hand, replace(hand)])
@@ -165,6 +165,7 @@ def test_two_pieces_for_the_same_hand_cannot_be_handled_at_once(hands: HandSet) 
     assert set(judge.grasps(first).kinds) == {SLIM} and set(judge.grasps(second).kinds) == {SLIM, SMALL}
 
 
+@pytest.mark.slow
 def test_hands_beyond_the_arms_are_like_theirs_in_turn(hands: HandSet) -> None:
     wide, first, second = pillars(width=0.04, hold=0.04)
     for count, expected in ((1, False), (2, False), (3, True)):
@@ -219,6 +220,7 @@ def margins(whole: Assembly, hands: HandSet) -> list[float]:
     return [hold.certificate.margin for step in plan.steps for hold in step.holds]
 
 
+@pytest.mark.slow
 def test_what_the_weak_hand_cannot_hold_the_strong_one_does(soma4: Assembly, hand: Hand) -> None:
     """A push between what the two can take: the hold falls to the strong hand, though it is the second."""
     weak = replace(hand, name="weak_hand", grip_force=hand.grip_force / 10)
