@@ -227,7 +227,7 @@ def test_better_orders_are_searched_again_before_far_worse_ones(
         return plans[len(excluded)]
 
     monkeypatch.setattr(orders, "kept_plan", next_best)
-    workcell: Any = SimpleNamespace(assembly=None, hand=lambda arm: None)
+    workcell: Any = SimpleNamespace(assembly=None, cell=SimpleNamespace(hands=None))
     found = orders._candidates(workcell, plans[0], 12)  # type: ignore[arg-type]
     tried = [(int(plan.order[0]), times) for plan, times in found]
     assert tried == expected

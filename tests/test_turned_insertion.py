@@ -11,6 +11,7 @@ import trimesh
 from soma_bullet.control.options import ExecutionOptions
 from soma_bullet.evaluation.line import run_line
 from soma_bullet.evaluation.options import EvaluationOptions, Spread
+from soma_bullet.options import EpisodeOptions
 from soma_bullet.verdict.options import Tolerance
 
 SEED = 402  # bar and slot end 2 deg apart, where 1.1 would fit
@@ -49,8 +50,9 @@ def test_a_bar_that_comes_turned_goes_in_by_search_and_torque(tmp_path: Path, co
         SEED,
         ("perception",),
         Spread(mm=0.3, deg=2.0, errors="uniform", square=False),
-        execution=ExecutionOptions(recover=False, compliant=compliant),
-        tolerance=Tolerance(deg=2.5),
+        EpisodeOptions(
+            execution=ExecutionOptions(recover=False, compliant=compliant), tolerance=Tolerance(deg=2.5)
+        ),
     )
     line = run_line(SEED, options)
     assert line["success"] is compliant, line["causes"]
