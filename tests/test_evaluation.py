@@ -411,7 +411,8 @@ def test_an_interrupted_run_keeps_what_is_done_and_goes_on(tmp_path: Path) -> No
     """Ctrl-C goes to the whole process group, as a terminal sends it."""
     arguments = ["soma3", "--episodes", "6", "--jobs", "2", "--out", str(tmp_path / "out")]
     patched = f"""
-import sys
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background job would ignore it
 sys.path[:0] = [{str(Path(__file__).parent)!r}]
 import functools, test_evaluation
 from soma_bullet.evaluation import evaluate as evaluating

@@ -66,11 +66,13 @@ def boxes(seed: int) -> Assembly:
         ((left, depth, height), (-left / 2, 0, height / 2)),
         ((right, depth, height), (right / 2, shift, height / 2)),
     ]
+    below, under = np.zeros(2), np.array((left + right, depth))  # middle and size of what carries the next
     for _ in range(rng.integers(1, 3)):
         size = rng.uniform(0.015, 0.03, 3)
-        place = rng.uniform(-0.3, 0.3, 2) * (left + right, depth)
+        place = below + rng.uniform(-0.3, 0.3, 2) * under
         found.append((tuple(size), (*place, height + size[2] / 2)))
         height += size[2]
+        below, under = place, size[:2]
     whole = assembly(
         [box(size, f"box{k}") for k, (size, _) in enumerate(found)], [place for _, place in found]
     )
