@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -20,6 +20,7 @@ from soma_bullet.options import EpisodeOptions
 from soma_bullet.pictures.options import FilmOptions
 from soma_bullet.pipeline import Progress, cell_of, executed, quiet
 from soma_bullet.planner.analyzers import check_analyzers
+from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.store import kept_plan
 from soma_bullet.records import package_versions, write_json, write_npz
 from soma_bullet.report.report import EpisodeReport
@@ -30,7 +31,7 @@ from soma_bullet.task.program.orders import program_of_best_order
 from soma_bullet.task.program.overlap.loosen import overlapped
 from soma_bullet.task.program.program import Program
 from soma_bullet.task.workcell import Workcell
-from soma_bullet.verdict.judge import judge
+from soma_bullet.verdict.judge import Judgement, judge
 from soma_bullet.world.log import ExecutionLog
 
 
@@ -114,11 +115,28 @@ def run_episode(
     if options.film is not None and out is not None:
         with clock.stage("video"):
             video = _render(log, model, cell, out, options.film, verdict.success, progress)
-    report = EpisodeReport(
+    report = _report(model, cell, plan, program, log, verdict, options, clock.seconds, video)
+    _write(out, "report.json", report)
+    return report
+
+
+def _report(
+    assembly: Assembly,
+    cell: Cell,
+    plan: AssemblyPlan | None,
+    program: Program | None,
+    log: ExecutionLog,
+    verdict: Judgement,
+    options: EpisodeOptions,
+    seconds: Mapping[str, float],
+    video: dict[str, str],
+) -> EpisodeReport:
+    """All that is told of an episode; what is not known of one that went on from its log is left empty."""
+    return EpisodeReport(
         success=verdict.success,
         pieces=verdict.pieces,
-        assembly=model.name,
-        digest=model.digest,
+        assembly=assembly.name,
+        digest=assembly.digest,
         cell=cell.name,
         order=log.order,
         stability=plan.options.stability if plan else "",
@@ -133,12 +151,10 @@ def run_episode(
         planned_s=_planned(program),
         events=log.events,
         notes=_notes(program, log, options),
-        wall_s={name: round(seconds, 3) for name, seconds in clock.seconds.items()},
+        wall_s={name: round(wall, 3) for name, wall in seconds.items()},
         video=video,
         versions=package_versions(),
     )
-    _write(out, "report.json", report)
-    return report
 
 
 def _notes(program: Program | None, log: ExecutionLog, options: EpisodeOptions) -> tuple[str, ...]:

@@ -15,9 +15,11 @@ from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.robot.cell import find_hand, load_cell
 from soma_bullet.robot.model import Cell
 from soma_bullet.task.feed import Feed, draw_feed, misplace
+from soma_bullet.task.limits import Effort
 from soma_bullet.task.program import make as programs
 from soma_bullet.task.program.overlap.loosen import overlapped
 from soma_bullet.task.program.program import Program
+from soma_bullet.task.search.scheduler import Scheduler
 from soma_bullet.task.workcell import Workcell
 from soma_bullet.world.log import ExecutionLog
 
@@ -62,7 +64,14 @@ def make_program(
     check_fit("plan", assembly, cell, plan)
     workcell = Workcell(assembly, cell)
     feed = draw_feed(assembly, plan, cell, options.seed, options.feed)
-    program = programs.make_program(workcell, plan, feed, options.seed, lambda reason: progress(reason, 0.0))
+    program = programs.make_program(
+        workcell,
+        plan,
+        feed,
+        options.seed,
+        lambda reason: progress(reason, 0.0),
+        scheduler=Scheduler(workcell, plan, feed, effort=Effort.of(options.search)),
+    )
     return overlapped(workcell, program) if options.execution.together else program
 
 
@@ -81,7 +90,8 @@ def execute(
 
     Args:
         plan: that of the program; recoveries plan on from it.
-        options: `seed`, `feed` (how exact perception is), `execution`, `physics` and `ablate` count here.
+        options: `seed`, `feed` (how exact perception is), `search` (of recoveries), `execution`, `physics`
+            and `ablate` count here.
         progress: told what is going on, and the fraction that is done, in 0..1.
 
     Returns:
@@ -114,7 +124,9 @@ def executed(
     compliance = execution.compliance if execution.compliant else None
     try:
         executor = Executor(world, program, workcell.sizes, compliance, physics.record_every, options.seed)
-        executive = Executive(workcell, plan, program, executor, options.feed, execution, ablation, progress)
+        executive = Executive(
+            workcell, plan, program, executor, options.feed, execution, ablation, progress, options.search
+        )
         ended = executive.run()
         executor.settle()
         return executor.log(ended)

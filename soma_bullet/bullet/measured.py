@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from soma_bullet.assembly.model import Assembly
 from soma_bullet.bullet.quiet import pybullet as p
 from soma_bullet.bullet.stage import Part, Stage
 from soma_bullet.frames import Array, make_transform
-from soma_bullet.robot.model import Cell
-from soma_bullet.world.options import Physics
 from soma_bullet.world.simulator import Contact, Names, Sample
 
 Vector = tuple[float, float, float]
@@ -27,24 +24,13 @@ class Measured(Stage):
         steps: time steps since the start.
     """
 
-    def __init__(
-        self,
-        cell: Cell,
-        assembly: Assembly,
-        stand: tuple[float, float],
-        poses: Mapping[str, Array],
-        home: Sequence[Array],
-        physics: Physics,
-    ):
-        super().__init__(cell, assembly, stand, poses, home, physics)
-        self.steps = 0
-        self.forget_contacts()
+    steps = 0
+    _contact_rows: Sequence[tuple[Any, ...]] | None = None  # of the last step
+    _robot_rows: Sequence[tuple[Any, ...]] | None = None  # those among them that an arm has a part in
 
     def forget_contacts(self) -> None:
         """A step has been made: contacts are other ones now."""
-        self._contact_rows: Sequence[tuple[Any, ...]] | None = None  # of the last step
-        # those among them that an arm has a part in
-        self._robot_rows: Sequence[tuple[Any, ...]] | None = None
+        self._contact_rows = self._robot_rows = None
 
     # --- what a real cell would know ------------------------------------------------------------------------
 

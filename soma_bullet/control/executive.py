@@ -26,11 +26,13 @@ from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.seeds import derived
 from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.kinds import GRASP, PLACE, RETREAT, SETTLE, as_planned
+from soma_bullet.task.limits import USUAL
 from soma_bullet.task.program.make import recover_program, replan
 from soma_bullet.task.program.motions import joined
 from soma_bullet.task.program.overlap.concurrent import Concurrent
 from soma_bullet.task.program.overlap.loosen import overlapped
 from soma_bullet.task.program.program import Program, beginning
+from soma_bullet.task.search_options import SearchOptions
 from soma_bullet.task.segment import SMALLEST_JUMP, Segment
 from soma_bullet.task.workcell import Workcell
 
@@ -52,6 +54,7 @@ class Executive:
         feed: how exact perception is.
         options: how it is executed.
         ablate: `hold` opens every hand that should hold; nothing is recovered from then.
+        search: how long a recovery is searched for.
 
     Attributes:
         state: of the cell as far as it is known: what has gone as planned has changed it.
@@ -67,9 +70,11 @@ class Executive:
         options: ExecutionOptions,
         ablate: str = "",
         progress: Progress = lambda what, fraction: None,
+        search: SearchOptions = USUAL,
     ):
         self.workcell, self.plan, self.program, self.executor = workcell, plan, program, executor
         self.ablate, self.together, self.progress = ablate, options.together, progress
+        self.search = search
         self.correct, self.longest = options.recover, options.longest
         self.recover = options.recover and not ablate
         self.state = beginning(workcell, program.feed, program.start)
@@ -99,7 +104,9 @@ class Executive:
             try:
                 self.state = self.recovery.found(program, self.state, trouble)
                 seed, feed = derived(self.executor.seed, "recovery", again), self.program.feed
-                program = recover_program(self.workcell, self.plan, self.state, seed, feed.noise, feed.square)
+                program = recover_program(
+                    self.workcell, self.plan, self.state, seed, feed.noise, feed.square, self.search
+                )
                 program = overlapped(self.workcell, program) if self.together else program
             except NoSolutionError as error:
                 self.executor.note_event("given up", piece, error.summary)

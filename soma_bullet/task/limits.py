@@ -9,9 +9,9 @@ from itertools import count
 from typing import Any
 
 from soma_bullet.task.memo import Memo
+from soma_bullet.task.search_options import SearchOptions
 
-LINES = 60_000  # of hands made or checked, about 60 s on two cores
-SCENES = 120  # for collision checks, of 2 to 5 MB each
+USUAL = SearchOptions()
 
 
 class TooManyLines(Exception):
@@ -24,16 +24,25 @@ class Effort:
 
     Attributes:
         most: lines of hands that there may be in all; lines: that were made or checked so far.
+        for_order: that there may be for one order.
         until: lines that there may be when the search at hand ends.
         scenes: that are kept, of all searches.
         serial: gives each search a number.
     """
 
-    most: int = LINES
+    most: int = USUAL.lines
     lines: int = 0
-    until: int = LINES
-    scenes: Memo[Hashable, Any] = field(default_factory=lambda: Memo(SCENES))
+    for_order: int = USUAL.order_lines
+    until: int = USUAL.lines
+    scenes: Memo[Hashable, Any] = field(default_factory=lambda: Memo(USUAL.scenes))
     serial: count[int] = field(default_factory=count)
+
+    @classmethod
+    def of(cls, options: SearchOptions) -> Effort:
+        """As much as the options allow, nothing of it spent."""
+        return cls(
+            options.lines, for_order=options.order_lines, until=options.lines, scenes=Memo(options.scenes)
+        )
 
     def allow(self, lines: int) -> None:
         """The search at hand may make or check so many more lines."""

@@ -11,7 +11,9 @@ from soma_bullet.control.executive import Executive
 from soma_bullet.control.options import ExecutionOptions
 from soma_bullet.frames import Array, translate
 from soma_bullet.task.feed_options import FeedOptions
+from soma_bullet.task.limits import USUAL
 from soma_bullet.task.program.program import Program
+from soma_bullet.task.search_options import SearchOptions
 from soma_bullet.verdict.judge import Judgement, judge
 from soma_bullet.world.log import ExecutionLog
 from tests.control.fake import FakeSimulator
@@ -35,13 +37,14 @@ def ran(
     options: ExecutionOptions | None = None,
     kind: type[Executive] = Executive,
     ablate: str = "",
+    search: SearchOptions = USUAL,
 ) -> ExecutionLog:
     """An episode in a world."""
     workcell, plan, _ = planned()
     options = options or ExecutionOptions()
     compliance = options.compliance if options.compliant else None
     executor = Executor(world, program, workcell.sizes, compliance, EVERY)
-    ended = kind(workcell, plan, program, executor, FeedOptions(), options, ablate).run()
+    ended = kind(workcell, plan, program, executor, FeedOptions(), options, ablate, search=search).run()
     executor.settle()
     return executor.log(ended)
 

@@ -22,6 +22,7 @@ from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.program.make import make_program
 from soma_bullet.task.program.overlap.loosen import overlapped
 from soma_bullet.task.program.program import Program, moments
+from soma_bullet.task.search_options import SearchOptions
 from soma_bullet.task.segment import Segment
 from soma_bullet.task.state import CellState
 from soma_bullet.world.log import ExecutionLog
@@ -368,14 +369,22 @@ def test_no_state_is_found_that_no_step_begins_with() -> None:
 
 
 def test_an_episode_recovers_only_so_often(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every program ends in trouble at once."""
+    """Every program ends in trouble at once. Recoveries are searched for as long as the options say."""
 
     def troubled(self: Executive, program: Program) -> Trouble:
         return Trouble(0, program.segments[0], None, "is made up")
 
     monkeypatch.setattr(Executive, "_run", troubled)
-    monkeypatch.setattr("soma_bullet.control.executive.recover_program", lambda *a, **k: planned()[2])
-    log = ran(planned()[2], world_of(planned()[2]), ExecutionOptions(together=False))
+    given = []
+
+    def recovered(*arguments: object) -> Program:
+        given.append(arguments[-1])
+        return planned()[2]
+
+    monkeypatch.setattr("soma_bullet.control.executive.recover_program", recovered)
+    few = SearchOptions(lines=7)
+    log = ran(planned()[2], world_of(planned()[2]), ExecutionOptions(together=False), search=few)
+    assert given == [few] * RECOVERIES
     assert kinds(log).count("planned anew") == RECOVERIES and kinds(log).count("trouble") == RECOVERIES + 1
     assert log.ended.endswith("is made up")
 

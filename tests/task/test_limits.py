@@ -9,12 +9,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from soma_bullet.errors import NoSolutionError
+from soma_bullet.options import EpisodeOptions
+from soma_bullet.pipeline import make_program
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.task.feed import Feed
 from soma_bullet.task.limits import Effort, TooManyLines
 from soma_bullet.task.memo import Memo
+from soma_bullet.task.program.make import recover_program
 from soma_bullet.task.search import placing
 from soma_bullet.task.search.scheduler import Scheduler
+from soma_bullet.task.search_options import SearchOptions
 from soma_bullet.task.workcell import Workcell
 
 # --- what is kept -------------------------------------------------------------------------------------------
@@ -114,3 +118,23 @@ def test_no_more_scenes_are_kept_than_may_be(workcell: Workcell, plan: AssemblyP
     assert [a.insert.identity for a in found.assignments] == [
         a.insert.identity for a in Scheduler(workcell, plan, feed).find().assignments
     ]
+
+
+def test_the_options_of_a_search_bound_programs_and_recoveries(
+    workcell: Workcell, plan: AssemblyPlan, feed: Feed
+) -> None:
+    few = SearchOptions(lines=3)
+    with pytest.raises(NoSolutionError, match=r"within 3 lines of hands \(--search.lines\)"):
+        make_program(workcell.assembly, workcell.cell, plan, EpisodeOptions(search=few))
+    start = workcell.idle({name: feed.pose(name) for name in feed.names})
+    with pytest.raises(NoSolutionError, match=r"within 3 lines of hands \(--search.lines\)"):
+        recover_program(workcell, plan, start, 0, options=few)
+
+
+def test_a_scheduler_takes_its_limits_from_the_options(
+    workcell: Workcell, plan: AssemblyPlan, feed: Feed
+) -> None:
+    effort = Effort.of(SearchOptions(lines=7, order_lines=5, scenes=3))
+    effort.allow(effort.for_order)
+    assert spent_until_it_ends(effort) == 5
+    assert Scheduler(workcell, plan, feed, effort=effort).order_lines == 5

@@ -19,11 +19,13 @@ from soma_bullet.motion.transfer import TransferError
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.seeds import derived
 from soma_bullet.task.feed import Feed
+from soma_bullet.task.limits import USUAL, Effort
 from soma_bullet.task.program.builder import Made, MotionError, ProgramBuilder, guarded
 from soma_bullet.task.program.motions import plan_motion, scene_for, straight_motion, widths_along
 from soma_bullet.task.program.program import Program, moments, one_at_a_time
 from soma_bullet.task.refusal import Refusal
 from soma_bullet.task.search.scheduler import Scheduler
+from soma_bullet.task.search_options import SearchOptions
 from soma_bullet.task.segment import Segment
 from soma_bullet.task.state import CellState
 from soma_bullet.task.workcell import Workcell
@@ -91,11 +93,13 @@ def recover_program(
     seed: int,
     noise: tuple[float, float] = (0.0, 0.0),
     square: bool = True,
+    options: SearchOptions = USUAL,
 ) -> Program:
     """The rest of a plan from a state as found: arms and pieces wherever they are, perhaps some in hands.
 
     Args:
         noise, square: of the poses as found, as in `Feed`.
+        options: how long it is searched for.
 
     Raises:
         NoSolutionError: with what decided, and what blocked, most frequent first.
@@ -103,7 +107,8 @@ def recover_program(
     names = workcell.assembly.names
     poses = readonly(np.array([start.poses[name] for name in names]))
     found = Feed(names, poses, 0, 0, seed, noise, square)
-    return make_program(workcell, plan, found, seed, start=start)
+    scheduler = Scheduler(workcell, plan, found, start, Effort.of(options))
+    return make_program(workcell, plan, found, seed, start=start, scheduler=scheduler)
 
 
 def replan(workcell: Workcell, program: Program, index: int, qs: Sequence[Array]) -> Segment:

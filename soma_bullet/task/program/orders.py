@@ -10,7 +10,6 @@ from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.store import kept_plan
 from soma_bullet.task.feed import Feed
 from soma_bullet.task.limits import Effort
-from soma_bullet.task.memo import Memo
 from soma_bullet.task.program.make import make_program
 from soma_bullet.task.program.program import Program
 from soma_bullet.task.refusal import Refusals
@@ -38,7 +37,7 @@ def program_of_best_order(
     Raises:
         NoSolutionError: none has one, with the step that the search came to, and what blocked there.
     """
-    effort = Effort(options.lines, scenes=Memo(options.scenes))
+    effort = Effort.of(options)
     refusals, schedulers = Refusals(), dict[tuple[str, ...], Scheduler]()
     for candidate, times in _candidates(workcell, plan, options.orders):
         if effort.exhausted:
@@ -48,7 +47,7 @@ def program_of_best_order(
             laid_out = feed(candidate)
             schedulers[order] = Scheduler(workcell, candidate, laid_out, None, effort, refusals)
         scheduler = schedulers[order]
-        scheduler.order_lines = times * options.order_lines
+        scheduler.order_lines = times * effort.for_order
         try:
             made = make_program(workcell, candidate, scheduler.feed, seed, progress, scheduler=scheduler)
         except NoSolutionError:

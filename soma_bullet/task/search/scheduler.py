@@ -40,7 +40,6 @@ SHALLOW, BRANCHES = (
     12,
 )  # lines after a piece is laid down elsewhere, and places where one is laid down
 MOST_REARRANGED = 12_000  # lines of all of these
-ORDER_LINES = 36_000  # of hands made or checked for one order, about 25 s
 
 
 class Scheduler:
@@ -63,7 +62,7 @@ class Scheduler:
     ):
         self.workcell, self.plan, self.feed, self.start = workcell, plan, feed, start
         self.effort, self.refusals = effort or Effort(), refusals or Refusals()
-        self.order_lines = ORDER_LINES
+        self.order_lines = self.effort.for_order
         self.excluded = Excluded()
         self._judged = Holds(Qualities(workcell.assembly, workcell.cell.hands, plan.options))
         self._searches: dict[tuple[int, ...], Search | None] = {}
@@ -79,7 +78,9 @@ class Scheduler:
             found = None
         if found is None:
             order = " <- ".join(self.plan.order)
-            raise self.refusals.error("schedule", f"no arm and grasp serve every step of {order}")
+            most = self.effort.most
+            ended = f" within {most} lines of hands (--search.lines)" if self.effort.exhausted else ""
+            raise self.refusals.error("schedule", f"no arm and grasp serve every step of {order}{ended}")
         return found
 
     def forget(self) -> None:
