@@ -183,11 +183,11 @@ def lean_urdf(urdf: Path, path_out: Path, cache: Path | None = None) -> Path:
     for link in tree.getroot().iter("link"):
         for collision in link.findall("collision"):
             link.remove(collision)
-        for visual in link.findall("visual"):
+        for number, visual in enumerate(link.findall("visual")):
             box = visual.find("geometry/box")
             if box is not None:  # PyBullet shades its own boxes as if they were round
                 half = np.array([float(x) for x in box.get("size").split()]) / 2
-                part = path_out.with_name(f"{path_out.stem}_box_{link.get('name')}.obj")
+                part = path_out.with_name(f"{path_out.stem}_box_{link.get('name')}_{number}.obj")
                 part.write_text(flat_obj(half * _CUBE, _CUBE_FACES))
                 box.getparent().replace(box, etree.Element("mesh", filename=str(part)))
             mesh = visual.find("geometry/mesh")

@@ -202,3 +202,17 @@ def test_a_mesh_is_split_by_its_materials(tmp_path: Path) -> None:
     assert [
         part.stat().st_mtime_ns for part, _ in look.split_mesh(tmp_path / "two.obj", tmp_path / "cache")
     ] == before
+
+
+def test_every_box_of_a_link_is_shown_in_its_own_size(tmp_path: Path) -> None:
+    """The fingers of the small hand are made of two boxes each: a finger and its pad."""
+    import trimesh
+    from lxml import etree
+
+    cell = load_cell(Path(__file__).parents[1] / "data/mixed_pair")
+    urdf = compose_urdf(cell, (0.1, 0.1), tmp_path / "cell.urdf")
+    lean = etree.parse(str(look.lean_urdf(urdf, tmp_path / "lean.urdf", tmp_path))).getroot()
+    for finger in cell.arms[1].finger_links:
+        shapes = lean.findall(f"link[@name='{finger}']/visual/geometry/mesh")
+        sizes = [trimesh.load_mesh(shape.get("filename")).extents.tolist() for shape in shapes]
+        assert sizes == [pytest.approx([0.004, 0.010, 0.060]), pytest.approx([0.002, 0.010, 0.012])]
