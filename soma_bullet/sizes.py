@@ -1,7 +1,7 @@
-"""Lengths and forces that depend on how large the workpieces and the hands are: the one place that has them.
+"""Lengths and forces that depend on how large workpieces, hands and arms are: the one place that has them.
 
-The values were measured with Soma pieces of 28 to 36 mm and 13 to 18 g, in a hand with fingers of 73 mm. They
-hold as they are for pieces of about that size. Larger or smaller ones scale them.
+The values were measured with Soma pieces of 28 to 36 mm and 13 to 18 g, in a hand with fingers of 73 mm
+on a UR5e. They hold as they are for about that size. Larger or smaller pieces, hands and arms scale them.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 
 SMALLEST, LARGEST = 0.026, 0.040  # [m] median radius of pieces for which the values hold as they are
 FINGER = 0.073  # [m] from the pads' centre to the palm of the hand for which way_out holds as it is
+ARM = 1.1815  # [m] from shoulder to pads of the stretched arm for which the values of Reach hold as they are
 LEAST, MOST = 0.4, 3.0  # factors beyond which nothing scales: no hand and no wrist is so fine, or so strong
 
 
@@ -103,6 +104,21 @@ class Sizes:
         return 0.03 * self.scale
 
     @cached_property
+    def askew(self) -> float:
+        """From a line of closing on the table to the centre of mass: as bad as no contact at all [m]."""
+        return 0.010 * self.scale
+
+    @cached_property
+    def rim(self) -> float:
+        """Of the stand around the assembly's footprint [m]."""
+        return 0.005 * self.scale
+
+    @cached_property
+    def smallest_stand(self) -> float:
+        """Side of the stand where the footprint is narrower [m]."""
+        return 0.03 * self.scale
+
+    @cached_property
     def apart(self) -> float:
         """Between the outlines of two pieces of a feed [m]."""
         return 0.010 * self.scale
@@ -126,6 +142,52 @@ class Sizes:
     def resting(self) -> float:
         """With which a piece rests that the hand does not press on [N]."""
         return 0.15 * self.scale
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What scales with an arm.
+
+    Attributes:
+        scale: of lengths; 1 for a UR5e with a slim hand.
+    """
+
+    scale: float
+
+    @classmethod
+    def of(cls, length: float) -> Reach:
+        """Of an arm that is so long [m] from its shoulder to the pads."""
+        return cls(round(length / ARM, 3))
+
+    @cached_property
+    def near(self) -> float:
+        """A hand nearer to the arm's base is awkward [m]."""
+        return 0.30 * self.scale
+
+    @cached_property
+    def far(self) -> float:
+        """A hand farther from the arm's base is awkward [m]."""
+        return 0.65 * self.scale
+
+    @cached_property
+    def wrist(self) -> float:
+        """From the pads back to the wrist [m]."""
+        return 0.25 * self.scale
+
+    @cached_property
+    def own_side(self) -> float:
+        """A wrist that is no nearer to the stand's middle is in no other arm's way [m]."""
+        return 0.05 * self.scale
+
+    @cached_property
+    def meeting_sides(self) -> tuple[float, float]:
+        """Where two hands meet: beside the stand [m], the best first."""
+        return 0.30 * self.scale, 0.18 * self.scale
+
+    @cached_property
+    def meeting_heights(self) -> tuple[float, float]:
+        """Where two hands meet: above the table [m], the best first."""
+        return 0.24 * self.scale, 0.34 * self.scale
 
 
 def way_out(finger: float) -> float:

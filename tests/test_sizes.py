@@ -10,7 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from soma_bullet.assembly.file import load_assembly
-from soma_bullet.sizes import FINGER, LARGEST, LEAST, MOST, SMALLEST, Sizes, way_out
+from soma_bullet.robot.cell import load_cell
+from soma_bullet.robot.kinematics import Robot
+from soma_bullet.sizes import ARM, FINGER, LARGEST, LEAST, MOST, SMALLEST, Reach, Sizes, way_out
 
 SOMA = {  # [m], [N]
     "run_in": 0.012,
@@ -26,6 +28,9 @@ SOMA = {  # [m], [N]
     "fallen": 0.005,
     "gone": 0.015,
     "aside": 0.03,
+    "askew": 0.010,
+    "rim": 0.005,
+    "smallest_stand": 0.03,
     "apart": 0.010,
     "room": 0.02,
     "guard": 1.0,
@@ -75,3 +80,13 @@ def test_a_few_odd_pieces_change_nothing(radius: float, odd: float) -> None:
 def test_a_hand_with_longer_fingers_goes_farther() -> None:
     assert way_out(FINGER) == pytest.approx(0.06)
     assert way_out(2 * FINGER) == pytest.approx(2 * way_out(FINGER))
+
+
+def test_a_shorter_arm_is_nearer_to_all_that_it_does() -> None:
+    assert (Reach.of(ARM).near, Reach.of(ARM).far, Reach.of(ARM).wrist) == pytest.approx((0.30, 0.65, 0.25))
+    assert Reach.of(ARM / 2).meeting_sides == pytest.approx((0.15, 0.09))
+    assert Reach.of(ARM / 2).own_side == pytest.approx(0.025)
+
+
+def test_the_shipped_arms_have_the_measured_length() -> None:
+    assert [reach.scale for reach in Robot(load_cell("ur5e_pair"), (0.1, 0.1)).reaches] == [1.0, 1.0]

@@ -13,6 +13,7 @@ from soma_bullet.assembly.hulls import Hull
 from soma_bullet.assembly.separation import swept_separation
 from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.frames import Array, apply
+from soma_bullet.sizes import Sizes
 
 MEETING = 1e-3  # [m] pieces that are nearer than this at their goals meet, if only along an edge
 
@@ -59,6 +60,11 @@ class Assembly:
             return self.names.index(name)
         except ValueError:
             raise KeyError(f"no piece {name!r}; there are {', '.join(self.names)}") from None
+
+    @cached_property
+    def sizes(self) -> Sizes:
+        """Lengths and forces that go with the pieces' size."""
+        return Sizes.of([piece.radius for piece in self.pieces])
 
     @cached_property
     def contacts(self) -> tuple[Contact, ...]:

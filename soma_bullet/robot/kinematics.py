@@ -14,6 +14,7 @@ from eaik.IK_HP import HPRobot
 from soma_bullet.frames import Array, readonly
 from soma_bullet.robot.compose import compose_urdf
 from soma_bullet.robot.model import Arm, Cell
+from soma_bullet.sizes import Reach
 
 Slots = slice | list[int]  # of an arm's joints in pinocchio's vector
 FK_ERROR = 1e-6  # [m, and rad] an inverse-kinematics branch that misses its pose by more is dropped
@@ -48,6 +49,17 @@ class Robot:
             if k:
                 found[k] = bases.get(frame.name, found[int(frame.parentFrame)])
         return {frames[k].name: arm for k, arm in found.items() if arm is not None}
+
+    @cached_property
+    def reaches(self) -> tuple[Reach, ...]:
+        """Lengths that depend on each arm's own, from its second joint to the pads."""
+        found = []
+        for arm, tcp in zip(self.cell.arms, self._tcp_frames, strict=True):
+            joints = [self.model.getJointId(name) for name in arm.joint_names[2:]]
+            offsets = [self.model.jointPlacements[joint].translation for joint in joints]
+            offsets.append(self.model.frames[tcp].placement.translation)
+            found.append(Reach.of(float(sum(np.linalg.norm(offset) for offset in offsets))))
+        return tuple(found)
 
     def _slot(self, joint: str) -> int:
         return int(self.model.joints[self.model.getJointId(joint)].idx_q)

@@ -17,7 +17,6 @@ from soma_bullet.task.workcell import Workcell
 
 GRID = (4, 2)  # places a feed area, along x and y
 YAWS = 8  # of a piece at a place
-SIDES, HEIGHTS = (0.30, 0.18), (0.24, 0.34)  # [m] of a meeting: from the stand, and above the table
 
 
 def free_places(
@@ -75,9 +74,11 @@ def meeting_poses(
         source: where the piece comes from (3,) [m]; its side of the table is preferred.
         com: the piece's centre of mass (3,) [m] in its frame: it comes to the place of the meeting.
     """
+    reach = min((robot.reaches[arm] for arm in arms), key=lambda reach: reach.scale)
+    sides, heights = reach.meeting_sides, reach.meeting_heights
     side = 1.0 if source[1] >= 0 else -1.0
     poses, cost = [], []
-    for rank, (y, z) in enumerate((s * y, z) for s in (side, -side) for y in SIDES for z in HEIGHTS):
+    for rank, (y, z) in enumerate((s * y, z) for s in (side, -side) for y in sides for z in heights):
         for turn in TURNS:
             rotation = turn @ inverse(grasps[0])[:3, :3]
             poses.append(make_transform(rotation, np.array((0.0, y, z)) - rotation @ com))

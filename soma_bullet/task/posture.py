@@ -7,7 +7,6 @@ import numpy as np
 from soma_bullet.frames import Array, Indices
 from soma_bullet.robot.kinematics import Robot
 
-NEAR, FAR = 0.30, 0.65  # [m] from an arm's base: nearer and farther than this becomes awkward
 OUTWARD = 0.5  # of a hand that is held well: outwards for each part down
 CARRYING = 0.6  # of the joint limits while a hand carries a piece
 
@@ -21,8 +20,8 @@ def posture_cost(robot: Robot, arm: int, Ts_world_tcp: Array) -> Array:
     ideal = np.array((0.0, 0.0, -1.0)) + OUTWARD * outward
     ideal /= np.linalg.norm(ideal, axis=-1, keepdims=True)
     angle = np.arccos(np.clip((Ts_world_tcp[..., :3, 2] * ideal).sum(axis=-1), -1, 1))
-    reach = np.linalg.norm(offset, axis=-1)
-    return np.asarray(angle + 5 * (np.maximum(reach - FAR, 0) + np.maximum(NEAR - reach, 0)))
+    away, reach = np.linalg.norm(offset, axis=-1), robot.reaches[arm]
+    return np.asarray(angle + 5 * (np.maximum(away - reach.far, 0) + np.maximum(reach.near - away, 0)))
 
 
 def bearings(poses: Array) -> list[tuple[float, ...]]:

@@ -16,11 +16,8 @@ from soma_bullet.grasp.hand import Hand
 from soma_bullet.robot.collision import CollisionModel, Scene, Situation
 from soma_bullet.robot.kinematics import Robot
 from soma_bullet.robot.model import Cell
-from soma_bullet.sizes import Sizes
 from soma_bullet.task.state import CellState
 
-SMALLEST_STAND = 0.03  # [m]
-STAND_RIM = 0.005  # [m] of stand around the footprint
 STAND = "stand"
 # [m], [rad] a piece in place that is off by less counts as where it should be
 OFF, TURNED = 2e-3, np.deg2rad(2.0)
@@ -36,7 +33,7 @@ def footprint(assembly: Assembly) -> tuple[Array, Array]:
 def stand_size(assembly: Assembly) -> tuple[float, float]:
     """Footprint of the stand [m]: the assembly's, with a rim."""
     low, high = footprint(assembly)
-    size = np.maximum(high - low + 2 * STAND_RIM, SMALLEST_STAND)
+    size = np.maximum(high - low + 2 * assembly.sizes.rim, assembly.sizes.smallest_stand)
     return float(size[0]), float(size[1])
 
 
@@ -66,7 +63,7 @@ class Workcell:
             self.robot, {piece.name: piece.body_parts for piece in assembly.pieces}
         )
         self.T_world_assembly = readonly(assembly_frame(assembly, cell))
-        self.sizes = Sizes.of([piece.radius for piece in assembly.pieces])
+        self.sizes = assembly.sizes
 
     @cached_property
     def goals(self) -> dict[str, Array]:

@@ -14,6 +14,7 @@ from soma_bullet.grasp.clearance import OPENING, sweep_hand
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.records import read_npz, write_npz
 from soma_bullet.robot.model import Cell
+from soma_bullet.sizes import Sizes
 from soma_bullet.task.actions.square import ACROSS, Square, squeezing_grips
 from soma_bullet.task.program.make import make_program
 from soma_bullet.task.program.program import Program, moments
@@ -78,7 +79,7 @@ def test_squeezing_hands_touch_the_outermost_points(soma3: Assembly, cell: Cell)
     for piece in soma3.pieces:
         for rest in steady_poses(piece):
             pose = make_transform(rotation_about((0, 0, 1), 0.4), (0.2, 0.3, 0.0)) @ rest
-            for grip in squeezing_grips(piece, hand, pose, [np.array((1.0, 0.0, 0.0))]):
+            for grip in squeezing_grips(piece, hand, pose, [np.array((1.0, 0.0, 0.0))], Sizes(1.0)):
                 tcp = pose @ grip.T_piece_tcp
                 assert abs(tcp[:3, 0] @ (1, 0, 0)) < 1e-9 and abs(tcp[2, 0]) < 1e-9
                 across = (piece.vertices @ pose[:3, :3].T + pose[:3, 3] - tcp[:3, 3]) @ tcp[:3, 0]

@@ -18,6 +18,7 @@ from soma_bullet.frames import Array, Mask, apply, inverse, make_transform, read
 from soma_bullet.grasp.clearance import SUPPORT_MARGIN
 from soma_bullet.grasp.graph import GraspGraph, Grip
 from soma_bullet.grasp.hand import Hand
+from soma_bullet.sizes import Sizes
 from soma_bullet.task.actions.action import Action, Identity, Steps
 from soma_bullet.task.actions.pick import Pick, close, opened_at
 from soma_bullet.task.actions.release import leave
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
     from soma_bullet.task.workcell import Workcell
 
 ACROSS = np.sin(np.deg2rad(15.0))  # closing axes that are off by less count as level, or as perpendicular
-ASIDE = 0.010  # [m] from the centre of mass to the line of closing that is as bad as no contact at all
 TILTED = 0.5  # as bad as no contact at all, for each radian that the hand is off from reaching straight down
 TRIED = 12
 CIRCLE = np.deg2rad(np.arange(0.0, 180.0, 15.0))  # [rad] closing axes that are looked at where none is known
@@ -92,8 +92,8 @@ def candidates(planning: Planning, fetch: Fetch, arm: int, axes: list[Array]) ->
     """Hands of an arm that square a piece across the known axes, best first, each with its number."""
     graph, source = planning.graph(fetch.piece), fetch.source
     clear = planning.clear_at(fetch, source) & planning.usable(fetch.piece, arm)
-    grips = squaring_grips(graph, clear, source.pose, axes)
-    squeezing = squeezing_grips(graph.piece, planning.workcell.hand(arm), source.pose, axes)
+    grips = squaring_grips(graph, clear, source.pose, axes, planning.sizes)
+    squeezing = squeezing_grips(graph.piece, planning.workcell.hand(arm), source.pose, axes, planning.sizes)
     if squeezing:
         free = planning.clear_hands(fetch, source, arm, squeezing)
         grips += [grip for grip, is_free in zip(squeezing, free, strict=True) if is_free]
@@ -152,7 +152,9 @@ def level_axes(closing: Array) -> list[Array]:
     return [closing] if abs(closing[2]) < ACROSS else []
 
 
-def squaring_grips(graph: GraspGraph, clear: Mask, T_world_piece: Array, known: list[Array]) -> list[Grip]:
+def squaring_grips(
+    graph: GraspGraph, clear: Mask, T_world_piece: Array, known: list[Array], sizes: Sizes
+) -> list[Grip]:
     """Clear grasps (mask of n) that centre a piece on the table across the known axes, best first.
 
     The hand should reach down, with the pads well on the faces and the line of closing near the centre of
@@ -167,11 +169,13 @@ def squaring_grips(graph: GraspGraph, clear: Mask, T_world_piece: Array, known: 
     )
     tilt = np.arccos(np.clip(-tcp[:, 2, 2], -1.0, 1.0))
     indices = np.flatnonzero(fit)
-    cost = (aside / ASIDE + TILTED * tilt - graph.contact)[indices]
+    cost = (aside / sizes.askew + TILTED * tilt - graph.contact)[indices]
     return [graph.grip(g) for g in spread(graph.poses, indices, cost)[:TRIED]]
 
 
-def squeezing_grips(piece: Workpiece, hand: Hand, T_world_piece: Array, known: list[Array]) -> list[Grip]:
+def squeezing_grips(
+    piece: Workpiece, hand: Hand, T_world_piece: Array, known: list[Array], sizes: Sizes
+) -> list[Grip]:
     """Hands that squeeze a piece on the table between its outermost faces or edges across the known axes,
     best first.
 
@@ -212,7 +216,7 @@ def squeezing_grips(piece: Workpiece, hand: Hand, T_world_piece: Array, known: l
             aside = abs(place - float(com @ along))
             found.append(
                 (
-                    round(aside / ASIDE + TILTED * abs(tilt), 9),
+                    round(aside / sizes.askew + TILTED * abs(tilt), 9),
                     len(found),
                     Grip(None, readonly(T), width, 1.0),
                 )

@@ -19,8 +19,6 @@ from soma_bullet.task.search.planning import Fetch, Planning
 OPTIONS = 4  # grasps for each arm
 AWKWARD = 0.5  # [s] that the cost of a grasp counts as
 BEYOND = 5.0  # cost of a grasp for each metre that the wrist is beyond the stand
-WRIST = 0.25  # [m] from the pads back to the wrist
-NEAR = 0.05  # [m] before the stand's middle, where beyond begins
 
 
 def options(planning: Planning, k: int, fetch: Fetch) -> list[Option]:
@@ -95,9 +93,10 @@ def _beyond(planning: Planning, arm: int, Ts_world_tcp: Array) -> Array:
     """How far [m] an arm has its wrist beyond the stand, seen from its base, with the hand at poses (n, 4,
     4)."""
     middle = planning.workcell.cell.stand_centre[:2]
+    reach = planning.robot.reaches[arm]
     way = middle - planning.robot.arm(arm).T_world_base[:2, 3]
-    wrists = Ts_world_tcp[:, :2, 3] - WRIST * Ts_world_tcp[:, :2, 2]
-    return np.maximum((wrists - middle) @ (way / max(float(np.linalg.norm(way)), 1e-9)) + NEAR, 0.0)
+    wrists = Ts_world_tcp[:, :2, 3] - reach.wrist * Ts_world_tcp[:, :2, 2]
+    return np.maximum((wrists - middle) @ (way / max(float(np.linalg.norm(way)), 1e-9)) + reach.own_side, 0.0)
 
 
 def clear_grips(planning: Planning, fetch: Fetch, arm: int) -> list[Grip]:
