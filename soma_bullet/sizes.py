@@ -15,6 +15,7 @@ import numpy as np
 SMALLEST, LARGEST = 0.026, 0.040  # [m] median radius of pieces for which the values hold as they are
 FINGER = 0.073  # [m] from the pads' centre to the palm of the hand for which way_out holds as it is
 ARM = 1.1815  # [m] from shoulder to pads of the stretched arm for which the values of Reach hold as they are
+CLEAR = 5e-4  # [m] that bodies keep from each other on their ways which do not touch in the end
 LEAST, MOST = 0.4, 3.0  # factors beyond which nothing scales: no hand and no wrist is so fine, or so strong
 
 
@@ -137,6 +138,11 @@ class Sizes:
     def touch(self) -> float:
         """The same on the last way straight down: pressed on with more, a piece pivots in the hand [N]."""
         return 0.3 * self.scale
+
+    @cached_property
+    def leaning(self) -> float:
+        """With which a guided piece may lean on what it slides by [N]."""
+        return 0.06 * self.scale
 
     @cached_property
     def resting(self) -> float:

@@ -61,10 +61,16 @@ def test_one_run_plans_explains_draws_and_writes(capsys: Captured) -> None:
 def test_reasons_are_counted_most_frequent_first(capsys: Captured) -> None:
     assert plan(["soma4", "--explain"]) == 0
     text = said(capsys)
-    assert "12 of 24 orders are ruled out" in text
-    assert text.index("stability: 8 orders") < text.index("assisting grasp: 4 orders")
-    assert "4 orders: {L, A} falls: alone it resists 0.000 g" in text
-    assert re.search(r"Z cannot be held: of its \d+ accessible grasps none is clear of L", text)
+    assert "22 of 24 orders are ruled out" in text and "grounded: 22 orders" in text
+    assert text.index("6 orders: A into {}") < text.index("2 orders: A into {V}: would hang in the air")
+
+
+def test_what_falls_and_what_cannot_be_held_is_told(capsys: Captured) -> None:
+    assert plan(["soma3", "--explain"]) == 0
+    assert "{smallL, Z} falls before BigL: alone it resists 0.000 g" in said(capsys)
+    assert plan(["soma4", "--stability", "paper", "--explain"]) == 0
+    text = said(capsys)
+    assert re.search(r"\{\w+\} in \{[\w, ]+\} cannot be gripped clear of \w+", text)
 
 
 def test_no_plan_says_why_and_writes_nothing(capsys: Captured) -> None:

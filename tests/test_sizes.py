@@ -35,6 +35,7 @@ SOMA = {  # [m], [N]
     "room": 0.02,
     "guard": 1.0,
     "touch": 0.3,
+    "leaning": 0.06,
     "resting": 0.15,
 }
 radii = st.lists(st.floats(1e-3, 0.5), min_size=1, max_size=9)

@@ -92,7 +92,7 @@ class Assembly:
         edges = {
             frozenset((a, b))
             for a, b in combinations(range(len(self.pieces)), 2)
-            if swept_separation(self.goal_parts[a], np.zeros(3), self.goal_parts[b]) < MEETING
+            if swept_separation(self.goal_parts[a], np.zeros(3), self.goal_parts[b], MEETING) < MEETING
         }
         return frozenset(faces | edges)
 

@@ -148,9 +148,12 @@ def plane_separation(centres: Array, generators: Array, height: float) -> Array:
     return centres[:, 2] - np.abs(generators[:, :, 2]).sum(axis=1) - height
 
 
-def swept_separation(moving: Sequence[Hull], sweep: Array, fixed: Sequence[Hull]) -> float:
-    """Gap [m] between polytopes swept along `sweep` (3,) [m] and fixed ones; negative is a penetration
-    depth."""
+def swept_separation(
+    moving: Sequence[Hull], sweep: Array, fixed: Sequence[Hull], margin: float = 0.0
+) -> float:
+    """Gap [m] between polytopes swept along `sweep` (3,) [m] and fixed ones, along the axis that shows the
+    most of it; negative is a penetration depth. A gap of more than `margin` [m] may be told too small, but
+    not below that."""
     smallest = np.inf
     length = np.linalg.norm(sweep)
     line = sweep[None] / length if length > 0 else np.zeros((0, 3))
@@ -164,7 +167,7 @@ def swept_separation(moving: Sequence[Hull], sweep: Array, fixed: Sequence[Hull]
         low, high = body.bounds[0] + np.minimum(sweep, 0.0), body.bounds[1] + np.maximum(sweep, 0.0)
         for other in fixed:
             apart = float(np.maximum(other.bounds[0] - high, low - other.bounds[1]).max())
-            if apart > 0.0:  # their boxes tell: a gap along an axis of the frame
+            if apart > margin:  # their boxes tell: a gap along an axis of the frame
                 smallest = min(smallest, apart)
                 continue
             crossed = np.cross(edges[:, None], other.edges[None]).reshape(-1, 3)

@@ -132,16 +132,16 @@ class Travel:
     def _guided(self, segment: Segment, motion: Motion, compliance: Compliance, tare: Array) -> Steps:
         """Feed a path as far as the wrist's force allows, and aside as it asks; see Guide.
 
-        A piece that comes in at a slant stays a little above its path and comes down straight at the end: it
-        then meets what carries it without pushing it aside. Where something should be met at the end, the
-        hand goes on until it is."""
+        A piece that comes in at a slant, or level, stays a little above its path and comes down straight at
+        the end: it then meets what carries it without pushing it aside. Where something should be met at the
+        end, the hand goes on until it is."""
         path, length = segment.path, float(np.linalg.norm(segment.offset))
-        along, slanted = segment.offset / length, segment.slanted
+        along, raised = segment.offset / length, segment.raised
 
         def place(at: float, guide: Guide) -> Array:
             whole = min(int(at), len(path) - 2)
             nominal = path[whole] + (at - whole) * (path[whole + 1] - path[whole])
-            fall = self.sizes.fall * min(1.0, 3.0 * at / (len(path) - 1)) * slanted
+            fall = raised * min(1.0, 3.0 * at / (len(path) - 1))
             shift, turn = guide.offset + (0.0, 0.0, fall), guide.twist * along
             return nominal + segment.compliance[:, :3] @ shift + segment.compliance[:, 3:] @ turn
 
@@ -150,14 +150,13 @@ class Travel:
 
         guide = Guide(along, compliance)
         at = yield from self._feel(segment, motion, guide, tare, len(path) - 1.0, place, left)
-        fall = self.sizes.fall * slanted
         if (
             motion.outcome == "jammed"
-            or (motion.outcome == "stopped early" and not slanted)
-            or not fall + segment.beyond
+            or (motion.outcome == "stopped early" and not raised)
+            or not raised + segment.beyond
         ):
             return
-        yield from self._lowered(segment, motion, compliance, tare, place(at, guide), fall)
+        yield from self._lowered(segment, motion, compliance, tare, place(at, guide), raised)
 
     def _lowered(
         self, segment: Segment, motion: Motion, compliance: Compliance, tare: Array, start: Array, fall: float

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from soma_bullet.errors import InputError
-from soma_bullet.planner.options import PlannerOptions
+from soma_bullet.planner.options import PAPER, PlannerOptions
 
 if TYPE_CHECKING:
     from soma_bullet.planner.qualities import Placed, Qualities
@@ -99,7 +99,6 @@ STEPS: dict[str, StepAnalyzer] = {
 }  # of every plan
 FURTHER: dict[str, StepAnalyzer] = {"grounded": grounded}
 STATES: dict[str, StateAnalyzer] = {"equilibrium": equilibrium}
-PAPER = "paper"  # judges single pieces; its holds follow from their qualities (paper Sec. IV-F)
 
 
 def state_analyzer(name: str) -> StateAnalyzer:

@@ -6,26 +6,24 @@ Contact normals n_i into the piece leave the legal removal directions C = {d : n
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from soma_bullet.assembly.contacts import Contact
-from soma_bullet.assembly.hulls import Hull, unique_directions
-from soma_bullet.assembly.separation import swept_separation
 from soma_bullet.frames import Array, Mask
 
 Scale = Literal["finite", "ordinal"]
 Rank = Callable[[Array], tuple[float, ...]]  # of a unit direction (3,)
+Blockers = Callable[[Array], tuple[int, ...]]  # of a unit direction (3,)
 
 UP = np.array([0.0, 0.0, 1.0])
 
 SNAP = np.deg2rad(2.0)  # [rad] normals closer than this are one
 SMALLEST_CLEARANCE = 0.02  # a smaller t* counts as none
 IN_SPAN = 1 - 1e-9  # length of a unit vector, projected, that counts as lying in a span
-PENETRATION = 1e-4  # [m] a sweep may touch but not enter
 
 TYPES = {
     (3, 3): "free",
@@ -212,47 +210,45 @@ def finite_quality(kind: str, clearance: float) -> float:
     return 0.05 if kind in ("peg through", "peg blind") else 0.0
 
 
-def analyse_assemblability(
+def straight_ways(
     contacts: Sequence[Contact],
-    parts: Sequence[Hull],
-    placed_parts: Mapping[int, Sequence[Hull]],
-    scale: Scale,
-    support: float,
-    slack: Mapping[int, float] | None = None,
-    axes: Array | None = None,
+    axes: Array,
+    blockers: Blockers,
+    scale: Scale = "finite",
     rank: Rank | None = None,
-) -> Assemblability:
-    """Best straight way in for a piece.
+) -> Iterator[Assemblability]:
+    """Straight ways in for a piece, those with the largest clearance first; of equal ones straight down, then
+    what is nearest to the widest direction. Where none is free, one without direction that says what is in
+    the way.
 
     Args:
         contacts: patches with the placed set and the support, normals into the piece.
-        parts: convex parts of the piece at its goal.
-        placed_parts: convex parts of every placed piece at its goal.
-        scale: `finite` or `ordinal` values.
-        support: height of the support plane [m].
-        slack: for each placed piece how far the parts of both may stand out of the bodies that they stand for
-            [m].
         axes: directions (k, 3) that are tried where the contacts leave a choice: the piece's own, not those
-            of the frame, so that the way in turns with everything; by default the face normals of its parts.
+            of the frame, so that the way in turns with everything.
+        blockers: indices of the bodies that are in the way of leaving along a unit direction (3,).
+        scale: `finite` or `ordinal` values.
         rank: orders directions that the contacts leave equally free.
     """
     normals = np.array([c.normal for c in contacts]).reshape(-1, 3)
-    own = unique_directions(np.vstack([part.axes for part in parts])) if axes is None else axes
-    freedom = analyse_freedom(normals, own, rank)
+    freedom = analyse_freedom(normals, axes, rank)
     if freedom.best is None:
-        return Assemblability("locked", 0.0, None, tuple(sorted({c.body_a for c in contacts})))
-    vertices = np.vstack([part.vertices for part in parts])
-    first_blockers: tuple[int, ...] = ()
-    for k, removal in enumerate([freedom.best, *freedom.alternatives]):
-        size = float(np.ptp(vertices @ removal))
-        blockers = sweep_blockers(parts, removal * size, placed_parts, support, slack)
-        if not blockers:
-            clearance = freedom.clearance if k == 0 else _clearance_along(removal, normals, freedom)
+        yield Assemblability("locked", 0.0, None, tuple(sorted({c.body_a for c in contacts})))
+        return
+    others = [(removal, _clearance_along(removal, normals, freedom)) for removal in freedom.alternatives]
+    others.sort(key=lambda way: (-round(way[1], 6), way[0] @ UP < IN_SPAN))
+    ways = [(freedom.best, freedom.clearance), *others]
+    if others and others[0][0] @ UP > IN_SPAN and others[0][1] > freedom.clearance - 1e-6:
+        ways[:2] = ways[1::-1]
+    found, first_blockers = False, None
+    for removal, clearance in ways:
+        met = blockers(removal)
+        first_blockers = met if first_blockers is None else first_blockers
+        if not met:
             quality = ORDINAL[freedom.type] if scale == "ordinal" else finite_quality(freedom.type, clearance)
-            return Assemblability(freedom.type, quality, -removal)
-        if k == 0:
-            first_blockers = blockers
-    return Assemblability(freedom.type, 0.0, None, first_blockers)
+            found = True
+            yield Assemblability(freedom.type, quality, -removal)
+    if not found:
+        yield Assemblability(freedom.type, 0.0, None, first_blockers or ())
 
 
 def _clearance_along(removal: Array, normals: Array, freedom: Freedom) -> float:
@@ -260,19 +256,3 @@ def _clearance_along(removal: Array, normals: Array, freedom: Freedom) -> float:
     flat = normals @ freedom.span.T
     limiting = normals[np.linalg.norm(flat, axis=1) > SMALLEST_CLEARANCE]
     return float(np.clip((limiting @ removal).min(), 0, 1)) if len(limiting) else 1.0
-
-
-def sweep_blockers(
-    parts: Sequence[Hull],
-    sweep: Array,
-    placed_parts: Mapping[int, Sequence[Hull]],
-    support: float,
-    slack: Mapping[int, float] | None = None,
-) -> tuple[int, ...]:
-    """Indices of the placed pieces (-1: the support) that parts swept by `sweep` (3,) [m] would enter."""
-    lowest = min(float(part.vertices[:, 2].min()) for part in parts)
-    blockers = [-1] if lowest + min(0.0, sweep[2]) < support - PENETRATION else []
-    for piece, others in placed_parts.items():
-        if swept_separation(parts, sweep, others) < -PENETRATION - (slack or {}).get(piece, 0.0):
-            blockers.append(piece)
-    return tuple(blockers)

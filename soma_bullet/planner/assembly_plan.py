@@ -58,6 +58,9 @@ class PlanStep:
         direction: unit assembly direction in the assembly frame.
         way: length of the straight way in [m].
         type: contact type.
+        bears: force with which the piece may press on what it meets before something moves [N].
+        borne: share of what a placing does to the placed pieces that these bear, up to all of it (1).
+        pressed: the piece that bears the least, where that is not all.
         grasps: indices of the candidate grasps in the piece's table: clear on the way in, at the goal and on
             the way out.
         holds: what equilibrium asks to hold afterwards.
@@ -68,6 +71,9 @@ class PlanStep:
     direction: tuple[float, float, float]
     way: float
     type: str
+    bears: float
+    borne: float
+    pressed: str
     grasps: tuple[int, ...]
     holds: tuple[Hold, ...]
     verdict: str

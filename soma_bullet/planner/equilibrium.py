@@ -197,10 +197,14 @@ def frictionless(contact: Contact, held: frozenset[int], sides: Sides) -> bool:
     without rubbing."""
     if sides != "friction" and abs(contact.normal[2]) < SIDE:
         return True
-    presses_down = (contact.body_a in held and contact.normal[2] < -SIDE) or (
+    return presses_down(contact, held)
+
+
+def presses_down(contact: Contact, held: frozenset[int]) -> bool:
+    """Whether a held piece lies on another by a patch."""
+    return (contact.body_a in held and contact.normal[2] < -SIDE) or (
         contact.body_b in held and contact.normal[2] > SIDE
     )
-    return presses_down
 
 
 def disturbance_angles(assembly: Assembly, placed: frozenset[int]) -> Array:

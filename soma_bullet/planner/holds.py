@@ -8,9 +8,13 @@ from __future__ import annotations
 from itertools import combinations
 
 from soma_bullet.planner.analyzers import Judgement, state_analyzer
-from soma_bullet.planner.qualities import Placed, Qualities
-from soma_bullet.planner.search import NOTHING, Support
+from soma_bullet.planner.options import PAPER
+from soma_bullet.planner.qualities import NOTHING, Placed, Qualities
+from soma_bullet.planner.search import Support
 
+PUSH, AIR = "push", "air"  # what is asked of an order unless no order has it
+RULES = frozenset({PUSH, AIR})
+SMALLEST_SHARE = 0.01  # of S that a state keeps which bears nothing of the next insertion
 MOST_ASKED = 8  # pieces; of more, not every state is looked at in advance
 
 
@@ -19,10 +23,14 @@ class Holds:
 
     A hand that a state does not need adds nothing: the state counts as if it were away. So the S of a held
     set is that of its best smallest part that keeps the state up, and what stands with a set held stands with
-    any larger one."""
+    any larger one.
 
-    def __init__(self, qualities: Qualities):
+    A state must also bear the next insertion. Where the rule `push` is lifted it need not: it counts the
+    less, the less it bears."""
+
+    def __init__(self, qualities: Qualities, rules: frozenset[str] = RULES):
         self.q = qualities
+        self.pushed = PUSH in rules
         self.hands, self.count = qualities.options.hand_count, len(qualities.assembly.names)
         self.analyse = state_analyzer(qualities.options.stability)
         self.refused: set[tuple[Placed, int, int | None]] = (
@@ -65,10 +73,12 @@ class Holds:
             reached = [
                 kept
                 for kept in self._reachable(placed, held | {piece}, upcoming)
-                if len(kept) <= most and self._serves(placed, upcoming, kept)
+                if len(kept) <= most
+                and self._serves(placed, upcoming, kept)
+                and self.bears(placed, kept, upcoming)
             ]
             self._after[key] = tuple(
-                self._support(placed, piece, held, kept)
+                self._support(placed, piece, held, kept, upcoming)
                 for kept in sorted(reached, key=lambda kept: (len(kept), sorted(kept)))
                 if self.can_hold(placed, upcoming, kept)
             )
@@ -76,7 +86,7 @@ class Holds:
 
     def _reachable(self, placed: Placed, start: Placed, upcoming: int | None) -> set[Placed]:
         """Held sets on the way from `start`, by letting go and taking, that keep the state up."""
-        free = self.judge(placed).stands
+        free = self.judge(placed).stands and self.bears(placed, NOTHING, upcoming)
         # while the state stands by itself a hold is only taken up for the sake of the next one
         wanted = not free or (
             upcoming is not None and not self.judge(placed | {upcoming}, frozenset({upcoming})).stands
@@ -95,7 +105,7 @@ class Holds:
 
     def _serves(self, placed: Placed, upcoming: int | None, held: Placed) -> bool:
         """Whether a hold has a purpose: now, or in the first later state that cannot do without a hand."""
-        if not held or not self.judge(placed).stands:
+        if not held or not self.judge(placed).stands or not self.bears(placed, NOTHING, upcoming):
             return True
         return upcoming is not None and self._serves_later(placed | {upcoming}, held)
 
@@ -110,17 +120,36 @@ class Holds:
         if key not in self._serving:
             if self.judge(placed).stands:
                 left = (piece for piece in range(self.count) if piece not in placed)
-                self._serving[key] = any(self._serves_later(placed | {piece}, held) for piece in left)
+                self._serving[key] = any(
+                    self._serves_push(placed, held, piece) or self._serves_later(placed | {piece}, held)
+                    for piece in left
+                )
             else:
                 self._serving[key] = self.hands > 2 or self.judge(placed, held).stands
         return self._serving[key]
 
-    def _support(self, placed: Placed, piece: int, before: Placed, held: Placed) -> Support:
+    def _serves_push(self, placed: Placed, held: Placed, upcoming: int) -> bool:
+        """Whether a hold helps a state that stands to bear an insertion."""
+        return not self.bears(placed, NOTHING, upcoming) and self.bears(placed, held, upcoming)
+
+    def margin(self, placed: Placed, held: Placed, upcoming: int | None) -> float:
+        """How much of the push of the next insertion a state bears, up to all of it (1)."""
+        if upcoming is None or self.q.options.stability == PAPER:
+            return 1.0
+        return min(1.0, self.q.bearing(placed, held, upcoming).margin)
+
+    def bears(self, placed: Placed, held: Placed, upcoming: int | None) -> bool:
+        """Whether the next insertion leaves everything where it is, if that is asked for."""
+        return not self.pushed or self.margin(placed, held, upcoming) >= 1.0
+
+    def _support(
+        self, placed: Placed, piece: int, before: Placed, held: Placed, upcoming: int | None
+    ) -> Support:
         judgement = self.judge(placed, held)
         again, changes = len(held - before - {piece}), len(held - before)
         return Support(
             held,
-            judgement.quality,
+            judgement.quality * max(SMALLEST_SHARE, self.margin(placed, held, upcoming)),
             (again, len(held), int(judgement.verdict == "clearance-dependent"), changes),
         )
 
@@ -147,8 +176,7 @@ class Holds:
     def why_not(self, placed: Placed, upcoming: int | None) -> str:
         """Why no hold keeps a state up: numbers for every set of as many pieces as there are spare hands."""
         name = self.q.assembly.names
-        state = self.judge(placed)
-        text = f"alone it {state.reason}" if state.reason else "alone it stands"
+        text = self._alone(placed, upcoming)
         spare = self.hands - 1 if upcoming is not None else 0
         if upcoming is None:
             return f"{text}, and in the end no hand is left"
@@ -157,7 +185,7 @@ class Holds:
         useless, tried = [], []
         for held in map(frozenset, combinations(sorted(placed), min(spare, len(placed)))):
             label = " and ".join(name[k] for k in sorted(held))
-            if not self.judge(placed, held).stands:
+            if not self.judge(placed, held).stands or not self.bears(placed, held, upcoming):
                 useless.append(label)
             elif not self.can_hold(placed, upcoming, held):
                 tried.append(f"{label} cannot be held: {self._ungraspable(placed, upcoming, held)}")
@@ -166,8 +194,22 @@ class Holds:
                     f"{label} cannot be taken in time: no hand gets there while the others keep the state up"
                 )
         if useless:
-            tried.insert(0, f"with {' or '.join(useless)} held it falls too")
+            tried.insert(0, f"with {' or '.join(useless)} held it does so too")
         return f"{text}; {'; '.join(tried)}"
+
+    def _alone(self, placed: Placed, upcoming: int | None) -> str:
+        """What becomes of a state that no hand holds."""
+        state, name = self.judge(placed), self.q.assembly.names
+        if not state.stands:
+            return f"alone it {state.reason}"
+        if upcoming is None or self.bears(placed, NOTHING, upcoming):
+            return "alone it stands"
+        bearing = self.q.bearing(placed, NOTHING, upcoming)
+        what = "rubs along" if bearing.rubbed else "presses on"
+        return (
+            f"alone it is pushed apart: {name[upcoming]} {what} {name[bearing.piece]}, which bears "
+            f"{bearing.margin:.2f} of the {'rubbing' if bearing.rubbed else 'push'}"
+        )
 
     def _ungraspable(self, placed: Placed, upcoming: int, held: Placed) -> str:
         direction, name = self.q.assemblability(upcoming, placed).direction, self.q.assembly.names

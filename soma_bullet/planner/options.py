@@ -11,6 +11,7 @@ from soma_bullet.option import NOT_NEGATIVE, SEED, Options, Range
 
 # that a search over orders may make: about a minute and 0.3 GB for twelve to sixteen blocks
 LABELS = 40_000
+PAPER = "paper"  # judges single pieces; its holds follow from their qualities (paper Sec. IV-F)
 HANDS = 2  # where there is no cell whose arms could be counted
 
 

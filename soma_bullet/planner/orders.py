@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from soma_bullet.planner.analyzers import PAPER, STEPS, Judgement, step_analyzer
-from soma_bullet.planner.holds import Holds
+from soma_bullet.planner.analyzers import STEPS, Judgement, grounded, step_analyzer
+from soma_bullet.planner.holds import AIR, RULES, Holds
+from soma_bullet.planner.options import PAPER
 from soma_bullet.planner.qualities import Placed, Qualities
 from soma_bullet.planner.search import (
     FREE,
@@ -99,9 +100,9 @@ class Fault:
 class Orders:
     """Rows of orders of one assembly; steps that orders share are evaluated once."""
 
-    def __init__(self, qualities: Qualities):
-        self.q = qualities
-        self.holds = Holds(qualities)
+    def __init__(self, qualities: Qualities, rules: frozenset[str] = RULES):
+        self.q, self.rules = qualities, rules
+        self.holds = Holds(qualities, rules)
         self.names = qualities.assembly.names
         self.count = len(self.names)
         self.paper = qualities.options.stability == PAPER
@@ -116,8 +117,9 @@ class Orders:
     # what the search asks
 
     def insertion(self, placed: Placed, piece: int) -> tuple[float, ...]:
-        """G, A and the values of further analyzers of one insertion."""
-        return self._cell(placed, piece).values
+        """G, A and the values of further analyzers of one insertion; zeros where it is ruled out."""
+        cell = self._cell(placed, piece)
+        return (0.0,) * len(cell.values) if cell.fault else cell.values
 
     def supports(self, before: Placed, piece: int, held: Placed, upcoming: int | None) -> tuple[Support, ...]:
         """What may be held after `piece` went in. Paper mode: exactly the pieces of zero s (paper Sec.
@@ -206,9 +208,12 @@ class Orders:
         """What one insertion puts into its row."""
         if (placed, piece) not in self._cells:
             way, judged = self.q.assemblability(piece, placed), self._judged(placed, piece)
+            values = tuple(judgement.quality for judgement in judged.values())
+            if AIR in self.rules and not self.paper:
+                judged = judged | {"grounded": grounded(self.q, placed, piece)}
             fault = next((name for name, judgement in judged.items() if not judgement.stands), "")
             self._cells[placed, piece] = _Cell(
-                values=tuple(judgement.quality for judgement in judged.values()),
+                values=values,
                 type=way.type,
                 direction=None if way.direction is None else rounded(way.direction),
                 fault=fault,
@@ -245,7 +250,8 @@ class Orders:
         some = any(self.holds.judge(placed, held).stands for held in sets)
         stage = "assisting grasp" if some and upcoming is not None else "stability"
         when = f" before {before}" if stage == "assisting grasp" or upcoming is None else ""
-        return Fault(k, stage, f"{self._named(placed)} falls{when}: {self.holds.why_not(placed, upcoming)}")
+        does = "falls" if not self.holds.judge(placed).stands else "does not stay"
+        return Fault(k, stage, f"{self._named(placed)} {does}{when}: {self.holds.why_not(placed, upcoming)}")
 
     def _judged(self, placed: Placed, piece: int) -> dict[str, Judgement]:
         key = (placed, piece)

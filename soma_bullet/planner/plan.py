@@ -19,20 +19,26 @@ from soma_bullet.planner.assembly_plan import (
     Hold,
     PlannedOrder,
     PlanStep,
-    Sensitivity,
 )
 from soma_bullet.planner.assist import SMALLEST_MARGIN, HoldCertificate, certify_hold
 from soma_bullet.planner.equilibrium import TIE
-from soma_bullet.planner.options import PlannerOptions
+from soma_bullet.planner.holds import AIR, PUSH, RULES
+from soma_bullet.planner.options import PAPER, PlannerOptions
 from soma_bullet.planner.orders import MOST_ENUMERATED, OrderRow, Orders, rounded
-from soma_bullet.planner.qualities import Placed, Qualities, way_length
+from soma_bullet.planner.programs import LARGEST
+from soma_bullet.planner.qualities import NOTHING, Placed, Qualities
+from soma_bullet.planner.remarks import approximations, false_stable, hanging, pressed, sensitivity
 from soma_bullet.planner.search import follow
+from soma_bullet.planner.ways import way_length
 from soma_bullet.records import package_versions
 
 TIES = 16  # orders that are looked for beyond MOST_ENUMERATED, so that ties show
 SAMPLES = 200  # orders whose failure is reported there where none is possible
 CERTIFIED = 4  # grasps of a hold, those with the most contact, that are certified before all of them
-TURNS = 12  # rotations of the friction pyramid over which paper mode's sensitivity is taken
+
+
+# what is asked of orders, one after another, until there is an order
+TIERS = (RULES, frozenset({PUSH}), frozenset({AIR}), frozenset[str]())
 
 
 class NoPlanError(NoSolutionError):
@@ -64,14 +70,18 @@ def make_plan(
     options = (options or PlannerOptions()).with_hands()
     options.check()
     qualities = qualities or Qualities(assembly, hands, options)
-    orders = Orders(qualities)
-    _check_final(assembly, orders)
-    refusals: list[str] = []
-    while True:
-        try:
-            return _plan(orders, options, excluded, refusals)
-        except _RefusedHold as refused:  # the orders are ranked anew without it
-            refusals.append(str(refused))
+    _check_final(assembly, Orders(qualities))
+    for rules in TIERS if options.stability != PAPER else TIERS[-1:]:
+        orders, refusals = Orders(qualities, rules), list[str]()
+        while True:
+            try:
+                return _plan(orders, options, excluded, refusals)
+            except _RefusedHold as refused:  # the orders are ranked anew without it
+                refusals.append(str(refused))
+            except NoPlanError as error:
+                failure = error
+                break
+    raise failure
 
 
 class _RefusedHold(Exception):
@@ -121,12 +131,13 @@ def _plan(
         optimality=ranking.optimality,
         ties=tuple(row.order for row in ties) if len(ties) > 1 else (),
         warnings=(
-            *_approximations(assembly),
-            *_hanging(chosen),
-            *(_false_stable(orders, ranked) if orders.paper else ()),
+            *approximations(assembly),
+            *hanging(orders, chosen),
+            *pressed(planned[0].steps, orders.paper),
+            *(false_stable(orders, ranked) if orders.paper else ()),
         ),
         passed_over=(*refusals, *passed_over),
-        sensitivity=tuple(_sensitivity(qualities, chosen)) if orders.paper else (),
+        sensitivity=tuple(sensitivity(qualities, chosen)) if orders.paper else (),
         versions=package_versions(),
     )
 
@@ -218,6 +229,7 @@ def _steps(orders: Orders, order: tuple[int, ...], held: tuple[Placed, ...]) -> 
         way = qualities.assemblability(piece, before)
         assert way.direction is not None
         state = qualities.stability(placed, held[k])
+        bearing = qualities.bearing(before, held[k - 1] if k else NOTHING, piece)
         in_hand = {piece} | (held[k - 1] if k else frozenset())
         holds = [_hold(orders, placed, j, upcoming, state.verdict, j not in in_hand) for j in sorted(held[k])]
         steps.append(
@@ -226,6 +238,9 @@ def _steps(orders: Orders, order: tuple[int, ...], held: tuple[Placed, ...]) -> 
                 direction=rounded(way.direction),
                 way=way_length(assembly, piece, way.direction),
                 type=way.type,
+                bears=min(round(bearing.force, 6), LARGEST),
+                borne=min(bearing.margin, 1.0),
+                pressed=assembly.names[bearing.piece] if bearing.margin < 1.0 else "",
                 grasps=tuple(int(i) for i in qualities.candidates(piece, before)),
                 holds=tuple(holds),
                 verdict=state.verdict,
@@ -270,28 +285,6 @@ def _hold(
     )
 
 
-def _hanging(row: OrderRow) -> list[str]:
-    """Pieces of the chosen order that touch nothing when they are placed."""
-    return [
-        f"{name} touches nothing when it is placed and hangs in a hand until something is put below it; "
-        f"the analyzer "
-        "`grounded` rules such orders out"
-        for name, kind in zip(row.order, row.types, strict=True)
-        if kind == "free"
-    ]
-
-
-def _approximations(assembly: Assembly) -> list[str]:
-    """Pieces whose collision parts are not exact."""
-    return [
-        f"{piece.name} curves inwards: its collision parts have {piece.decomposition.volume_ratio:.3f} x "
-        f"its volume and stand "
-        f"out by up to {piece.decomposition.deviation * 1e3:.2f} mm"
-        for piece in assembly.pieces
-        if piece.decomposition.kind == "approximate"
-    ]
-
-
 def _table(qualities: Qualities, piece: int) -> GraspTable:
     grasps = qualities.grasps(piece)
     poses = np.hstack(to_quat_xyzw(grasps.Ts_piece_tcp))
@@ -302,44 +295,3 @@ def _table(qualities: Qualities, piece: int) -> GraspTable:
         grasps.contact,
         grasps.kinds,
     )
-
-
-def _states(rows: list[OrderRow]) -> list[tuple[str, ...]]:
-    return sorted(
-        {tuple(sorted(row.order[: k + 1])) for row in rows for k in range(len(row.order))},
-        key=lambda s: (len(s), s),
-    )
-
-
-def _false_stable(orders: Orders, rows: list[OrderRow]) -> list[str]:
-    """States that the paper's measure calls stable and that fall all the same: pieces that lean on each
-    other."""
-    warnings = []
-    for state in _states(rows):
-        placed: Placed = frozenset(orders.names.index(name) for name in state)
-        values, zeros = orders.paper_state(placed)
-        if not zeros and not orders.holds.judge(placed).stands:
-            listed = ", ".join(f"{orders.names[j]} {value:.3f}" for j, value in values.items())
-            warnings.append(
-                f"paper mode calls {{{', '.join(orders.names[j] for j in values)}}} stable ({listed}), "
-                "but it falls: its pieces cannot all be in equilibrium at once"
-            )
-    return warnings
-
-
-def _sensitivity(qualities: Qualities, row: OrderRow) -> list[Sensitivity]:
-    """Of the values in the row: the s of the piece just placed, and the smallest s that needs no hand."""
-    found = []
-    for k, name in enumerate(row.order):
-        placed = frozenset(qualities.assembly.index(n) for n in row.order[: k + 1])
-        values = {j: qualities.paper_stability(j, placed) for j in sorted(placed)}
-        reported = {qualities.assembly.index(name)}
-        reported |= set(sorted((j for j in values if values[j] > 0), key=values.__getitem__)[:1])
-        for piece in sorted(reported):
-            turned = [qualities.paper_stability(piece, placed, i * np.pi / 3 / TURNS) for i in range(TURNS)]
-            found.append(
-                Sensitivity(
-                    row.order[: k + 1], qualities.assembly.names[piece], turned[0], min(turned), max(turned)
-                )
-            )
-    return found

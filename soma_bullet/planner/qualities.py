@@ -10,7 +10,6 @@ import itertools
 import numpy as np
 
 from soma_bullet.assembly.contacts import SUPPORT
-from soma_bullet.assembly.hulls import unique_directions
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, Indices, Mask
 from soma_bullet.grasp.clearance import (
@@ -23,12 +22,15 @@ from soma_bullet.grasp.clearance import (
 )
 from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.grasp.sampling import GraspSet, sample_grasps
-from soma_bullet.planner.assemblability import Assemblability, Rank, analyse_assemblability
+from soma_bullet.planner.assemblability import Assemblability
 from soma_bullet.planner.equilibrium import StateStability, classify, friction_of
-from soma_bullet.planner.options import PlannerOptions
+from soma_bullet.planner.options import PAPER, PlannerOptions
 from soma_bullet.planner.paper_stability import contact_wrenches, wrench_margin
+from soma_bullet.planner.pushes import Bearing, Pushes
+from soma_bullet.planner.ways import Ways, way_length
 
 Placed = frozenset[int]
+NOTHING: Placed = frozenset()
 FEW = 6  # grasps of either hand, of each kind, that are tried first where one pair is enough
 SPREAD = 12  # grasps of an incoming hand, of each kind, that are tried before all of them
 
@@ -40,14 +42,15 @@ class Qualities:
     def __init__(self, assembly: Assembly, hands: HandSet, options: PlannerOptions):
         self.assembly, self.hands, self.options = assembly, hands, options
         self._supply = hands.at_least(options.hand_count)
+        self.ways = Ways(assembly, "ordinal" if options.stability == PAPER else "finite")
+        self.pushes = Pushes(assembly, options.load)
         self._paper: dict[tuple[int, Placed, float], float] = {}
         self._stability: dict[tuple[Placed, Placed], StateStability] = {}
         self._grasps: dict[int, GraspSet] = {}
         self._clear: dict[tuple[int, int], Mask] = {}
-        self._normals: dict[int, Array] = {}
-        self._ways: dict[tuple[int, Placed], Assemblability] = {}
+        self._chosen: dict[tuple[int, Placed], Assemblability] = {}
         self._entering: dict[tuple[int, int, tuple[float, ...]], Mask] = {}
-        self._candidates: dict[tuple[int, Placed], Indices] = {}
+        self._candidates: dict[tuple[int, Placed, tuple[float, ...]], Indices] = {}
         self._accessible: dict[tuple[int, Placed], Indices] = {}
         self._spared: dict[tuple[int, Placed, int], Indices] = {}
         self._assisting: dict[tuple[int, Placed, int | None], Indices] = {}
@@ -102,15 +105,20 @@ class Qualities:
     def candidates(self, piece: int, placed: Placed) -> Indices:
         """Indices of the accessible grasps whose hand is clear of the placed set on the way in too, all along
         the insertion."""
-        key = (piece, placed)
+        direction = self.assemblability(piece, placed).direction
+        return self.candidates_along(piece, placed, direction)
+
+    def candidates_along(self, piece: int, placed: Placed, direction: Array | None) -> Indices:
+        """The candidates along a direction (3,) of one's own."""
+        indices = self.accessible(piece, placed)
+        if direction is None or not len(indices):
+            return indices
+        key = (piece, placed, tuple(np.round(direction, 9).tolist()))
         if key not in self._candidates:
-            indices, direction = self.accessible(piece, placed), self.assemblability(piece, placed).direction
-            if direction is not None and len(indices):
-                clear = self._enters(piece, SUPPORT, direction).copy()
-                for other in sorted(placed):
-                    clear &= self._enters(piece, other, direction)
-                indices = indices[clear[indices]]
-            self._candidates[key] = indices
+            clear = self._enters(piece, SUPPORT, direction).copy()
+            for other in sorted(placed):
+                clear &= self._enters(piece, other, direction)
+            self._candidates[key] = indices[clear[indices]]
         return self._candidates[key]
 
     def graspability(self, piece: int, placed: Placed) -> int:
@@ -118,45 +126,39 @@ class Qualities:
         return len(self.candidates(piece, placed))
 
     def assemblability(self, piece: int, placed: Placed) -> Assemblability:
-        """A and the assembly direction of `piece` into the placed set (without it)."""
+        """A and the assembly direction of `piece` into the placed set (without it).
+
+        Paper mode: the widest free way. Otherwise the first of the free ways, by their clearance, by which a
+        hand can bring the piece, and which what is placed bears without a hold; where none is borne, that of
+        which it bears the most."""
         key = (piece, placed)
-        if key not in self._ways:
-            others = {k: self.assembly.goal_parts[k] for k in sorted(placed)}
-            self._ways[key] = analyse_assemblability(
-                self.assembly.contacts_of(piece, placed),
-                self.assembly.goal_parts[piece],
-                others,
-                "ordinal" if self.options.stability == "paper" else "finite",
-                self.assembly.support.height,
-                {
-                    k: self.assembly.pieces[piece].roughness + self.assembly.pieces[k].roughness
-                    for k in others
-                },
-                self._axes(piece),
-                self._rank(piece, placed),
-            )
-        return self._ways[key]
+        if key not in self._chosen:
+            self._chosen[key] = self._choose(piece, placed)
+        return self._chosen[key]
 
-    def _axes(self, piece: int) -> Array:
-        """Face normals (k, 3) of a piece at its goal, one for each direction up to sign; cuts inside it have
-        no say."""
-        if piece not in self._normals:
-            normals = np.array([facet.normal for facet in self.assembly.pieces[piece].facets])
-            self._normals[piece] = unique_directions(normals @ self.assembly.goals[piece][:3, :3].T)
-        return self._normals[piece]
+    def _choose(self, piece: int, placed: Placed) -> Assemblability:
+        ways = self.ways.into(piece, placed)
+        first = best = next(ways)
+        if first.direction is None or self.options.stability == PAPER:
+            return first
+        most = -1.0
+        stands = self.stability(placed).verdict != "unstable"
+        for way in (first, *ways):
+            assert way.direction is not None
+            if not len(self.candidates_along(piece, placed, way.direction)):
+                continue
+            margin = self.pushes.bearing(placed, NOTHING, piece, way.direction).margin if stands else 1.0
+            if min(margin, 1.0) > most:
+                best, most = way, min(margin, 1.0)
+            if most >= 1.0:
+                break
+        return best
 
-    def _rank(self, piece: int, placed: Placed) -> Rank:
-        """Orders removal directions that are equally free: away from the placed set first, then by the
-        piece's own axes.
-
-        It turns with the assembly, and does not depend on the order of the pieces.
-        """
-        centres, rotation = self.assembly.goal_centres, self.assembly.goals[piece][:3, :3]
-        away = (
-            centres[piece] - np.sort(centres[sorted(placed)], axis=0).mean(axis=0) if placed else np.zeros(3)
-        )
-        away = away / max(float(np.linalg.norm(away)), 1e-9)
-        return lambda direction: (-round(float(direction @ away), 6), *(-np.round(direction @ rotation, 6)))
+    def bearing(self, placed: Placed, held: Placed, piece: int) -> Bearing:
+        """What the placed set, with some pieces held, bears of the insertion of a piece along its
+        direction."""
+        direction = self.assemblability(piece, placed).direction
+        return Bearing(0.0, 0.0) if direction is None else self.pushes.bearing(placed, held, piece, direction)
 
     def why_no_grasp(self, piece: int, placed: Placed) -> str:
         """How many grasps of `piece` each body in the placed set is in the way of."""
@@ -326,9 +328,3 @@ class Qualities:
             else:
                 self._clear[key] = clear_of_scene(sweep, self.assembly.goal_parts[other], None)
         return self._clear[key]
-
-
-def way_length(assembly: Assembly, piece: int, direction: Array) -> float:
-    """Length [m] of the straight way in: the piece's own size along the direction."""
-    vertices = np.vstack([part.vertices for part in assembly.goal_parts[piece]])
-    return float(np.ptp(vertices @ direction))

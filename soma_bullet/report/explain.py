@@ -11,6 +11,7 @@ from rich.tree import Tree
 
 from soma_bullet.planner.assembly_plan import AssemblyPlan, Hold, PlannedOrder, PlanStep
 from soma_bullet.planner.orders import OrderRow
+from soma_bullet.planner.programs import LARGEST
 from soma_bullet.report.table import number
 
 MOST_REASONS = 8  # lines below one heading; what follows is counted
@@ -92,6 +93,7 @@ def _insertion(step: PlanStep) -> str:
     return (
         f"along ({along}) over {step.way * 1e3:.0f} mm; contact type {step.type}; {len(step.grasps)} "
         f"candidate grasps"
+        + (f"; what is placed bears a push of {step.bears:.2f} N" if step.bears < LARGEST else "")
     )
 
 

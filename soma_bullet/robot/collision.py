@@ -17,10 +17,11 @@ import pinocchio as pin
 from soma_bullet.assembly.hulls import Hull
 from soma_bullet.frames import Array
 from soma_bullet.robot.kinematics import Robot
+from soma_bullet.sizes import CLEAR
 
 MARGIN = 5e-3  # [m] kept to the links of an arm: the simulator's convex hulls stand out by up to 1 mm each
 HAND_MARGIN = 2e-3  # [m] kept between hands, pieces, table and stand, which are boxes or exact hulls
-NEAR_MARGIN = 5e-4  # [m] kept between a hand or what it carries and pieces: the hand works among them
+NEAR_MARGIN = CLEAR  # [m] kept between a hand or what it carries and pieces: the hand works among them
 STRAIGHT = 1e-9  # [m] a finger that slides by no more across the edges of its box sweeps a box
 TOUCH_MARGIN = -5e-5  # [m] bodies that are meant to touch may overlap by this
 

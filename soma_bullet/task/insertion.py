@@ -47,6 +47,7 @@ class StraightInsertion:
         goal: T_world_piece (4, 4) where it settles.
         direction: unit assembly direction in the world (3,).
         length: of the way [m]; guarded: of its last, slow part.
+        bears: force [N] with which the piece may press on what is placed.
     """
 
     piece: str
@@ -54,6 +55,7 @@ class StraightInsertion:
     direction: Array
     length: float
     guarded: float
+    bears: float
 
     def pose(self, s: float) -> Array:
         return translate(self.goal, -self.direction * self.length * (1.0 - s))

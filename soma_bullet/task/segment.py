@@ -10,7 +10,10 @@ from soma_bullet.frames import Array, readonly
 from soma_bullet.task.kinds import Kind
 
 DT = 1 / 480  # [s] between samples of a trajectory: the simulator's step
-SLANT = 0.2, 0.98  # downward parts of the directions that count as slanted
+LEVEL, STEEP = (
+    0.2,
+    0.98,
+)  # downward parts of the directions up to which a line is level, and beyond which steep
 DOWN = readonly(np.array((0.0, 0.0, -1.0)))
 UP = readonly(np.array((0.0, 0.0, 1.0)))
 NOWHERE = readonly(np.zeros(3))
@@ -38,6 +41,8 @@ class Segment:
             line (n, 6), translation [rad/m] before rotation [rad/rad]; empty for the rest.
         beyond: how far a guarded line may go on beyond its end until the piece meets what should stop it
             there [m]: a piece that sits higher in the hand than planned is not let go in the air.
+        raised: how far above its path a guarded line brings the piece [m], to let it down straight at the
+            end: what it comes to rest on is not rubbed along.
     """
 
     kind: Kind
@@ -52,6 +57,7 @@ class Segment:
     width: float | None = None
     compliance: Array = field(default_factory=lambda: NO_PATH)
     beyond: float = 0.0
+    raised: float = 0.0
 
     @property
     def q_end(self) -> Array | None:
@@ -59,15 +65,14 @@ class Segment:
         return self.path[-1] if len(self.path) else None
 
     @property
-    def slanted(self) -> bool:
-        """Whether it is a line that comes down at a slant: it then ends straight down."""
-        height = float(self.offset[2]) / max(float(np.linalg.norm(self.offset)), 1e-12)
-        return -SLANT[1] < height < -SLANT[0]
+    def downward(self) -> float:
+        """Downward part of its direction: 1 straight down, 0 where it is level."""
+        return -float(self.offset[2]) / max(float(np.linalg.norm(self.offset)), 1e-12)
 
     @property
     def last_way(self) -> Array:
         """Unit vector (3,) along which a line ends."""
-        return DOWN if self.slanted or not self.offset.any() else self.offset / np.linalg.norm(self.offset)
+        return DOWN if self.raised or not self.offset.any() else self.offset / np.linalg.norm(self.offset)
 
     @property
     def seconds(self) -> float:

@@ -14,12 +14,11 @@ from soma_bullet.frames import Array
 from soma_bullet.planner.assemblability import (
     ORDINAL,
     Assemblability,
-    analyse_assemblability,
     analyse_freedom,
     finite_quality,
     snap_normals,
-    sweep_blockers,
 )
+from soma_bullet.planner.ways import Ways
 
 X, Y, Z = np.eye(3)
 # type, normals into the piece, t*, best removal direction where there is just one
@@ -43,13 +42,7 @@ rotations = st.integers(0, 2**32 - 1).map(
 def analyse(whole: Assembly, piece: str, placed: str, scale: str = "finite") -> Assemblability:
     k = whole.index(piece)
     others = frozenset(whole.index(name) for name in placed)
-    return analyse_assemblability(
-        whole.contacts_of(k, others),
-        whole.goal_parts[k],
-        {j: whole.goal_parts[j] for j in sorted(others)},
-        scale,
-        whole.support.height,
-    )
+    return next(Ways(whole, scale).into(k, others))
 
 
 @pytest.mark.parametrize(
@@ -167,9 +160,9 @@ def test_a_roof_blocks_the_way_up_and_leaves_the_way_aside() -> None:
     whole = roofed([(0, 0, 2)])
     up = analyse(whole, "c", "p")
     assert up.direction == pytest.approx(-Z) and up.quality == 1.0
-    assert analyse(roofed([(0, 0, 2)], gap=1.0), "c", "pr").direction == pytest.approx(
+    assert analyse(roofed([(0, 0, 2)], gap=2.0), "c", "pr").direction == pytest.approx(
         -Z
-    )  # its own height is way enough
+    )  # its own height and the run-in are way enough
     aside = analyse(whole, "c", "pr")
     assert aside.type == "plane" and aside.quality > 0
     assert aside.direction is not None
@@ -211,9 +204,9 @@ def test_a_lower_quality_where_the_best_direction_is_blocked() -> None:
 
 def test_the_support_is_in_the_way_as_pieces_are() -> None:
     whole = assembly([cells([(0, 0, 0)], "c")], [(0, 0, SIDE / 2)])
-    parts = whole.goal_parts[0]
-    assert sweep_blockers(parts, np.array([0, 0, -SIDE]), {}, 0.0) == (-1,)
-    assert sweep_blockers(parts, np.array([SIDE, 0, 0]), {}, 0.0) == ()
+    ways = Ways(whole, "finite")
+    assert ways.blockers(0, frozenset(), -Z) == (-1,)
+    assert ways.blockers(0, frozenset(), X) == ()
     alone = analyse(whole, "c", "")
     assert alone.type == "plane" and alone.direction == pytest.approx(-Z)
 

@@ -23,7 +23,8 @@ from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.grasp.options import SamplingOptions
 from soma_bullet.grasp.sampling import GraspSet, sample_grasps
 from soma_bullet.planner.options import PlannerOptions
-from soma_bullet.planner.qualities import Qualities, way_length
+from soma_bullet.planner.qualities import Qualities
+from soma_bullet.planner.ways import way_length
 
 ALL = {name: load_assembly(name) for name in ("soma3", "soma4")}
 PIECES = {piece.name: piece for whole in ALL.values() for piece in whole.pieces}
@@ -198,7 +199,9 @@ def test_a_candidate_keeps_clear_all_along_the_insertion(qualities: dict[str, Qu
     for piece in range(4):
         placed = frozenset(range(4)) - {piece}
         way, candidates = judge.assemblability(piece, placed).direction, judge.candidates(piece, placed)
-        fewer += len(judge.accessible(piece, placed)) - len(candidates)
+        for other in judge.ways.into(piece, placed):
+            along = judge.candidates_along(piece, placed, other.direction)
+            fewer += len(judge.accessible(piece, placed)) - len(along)
         if way is None:
             continue
         around = [Manifold.hull_points(hull.vertices * 1e3) for k in placed for hull in whole.goal_parts[k]]

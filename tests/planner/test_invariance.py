@@ -29,13 +29,14 @@ from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, apply, make_transform, readonly, rotation_about, tangents
 from soma_bullet.grasp.hand import Hand, load_hand
 from soma_bullet.grasp.hand_set import HandSet
-from soma_bullet.planner.assemblability import Assemblability, analyse_assemblability, analyse_freedom
+from soma_bullet.planner.assemblability import Assemblability, analyse_freedom
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.equilibrium import equilibrium_margin
 from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.plan import make_plan
 from soma_bullet.planner.programs import PushRegion
 from soma_bullet.planner.qualities import Qualities
+from soma_bullet.planner.ways import PENETRATION, Ways
 from soma_bullet.validation.subassemblies import assembly_of, random_placements
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -122,7 +123,8 @@ class Facts:
         self.states = {(s, h): judge.stability(s, h) for s, h in [*states, *held]}
         self.paper = {k: judge.paper_stability(k, everything) for k in everything} if paper else {}
         self.grasps = {(k, s): grasps_of(judge, k, s) for k, s in into} if hand else {}
-        self.ways = {(k, s): judge.assemblability(k, s) for k, s in into}
+        ways = Ways(whole, "finite", clear=-PENETRATION, run_in=0.0)
+        self.ways = {(k, s): next(ways.into(k, s)) for k, s in into}
 
 
 def grasps_of(judge: Qualities, piece: int, placed: Subset) -> Array:
@@ -486,10 +488,7 @@ def test_a_way_out_of_a_tunnel_turns_with_the_tunnel(degrees: float) -> None:
     whole = assembly([cube, tunnel], [(0, 0, 0.009), (0, 0, side / 2)])
     for angle in (0.0, degrees):
         turned = moved(whole, make_transform(rotation_about((0, 0, 1), np.deg2rad(angle))))
-        others = {1: turned.goal_parts[1]}
-        way = analyse_assemblability(
-            turned.contacts_of(0, frozenset({1})), turned.goal_parts[0], others, "finite", 0.0
-        )
+        way = next(Ways(turned, "finite").into(0, frozenset({1})))
         assert way.quality == 1.0
 
 

@@ -23,7 +23,8 @@ from soma_bullet.grasp.options import SamplingOptions
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.options import HoldLoad, PlannerOptions
 from soma_bullet.planner.plan import NoPlanError, make_plan
-from soma_bullet.planner.qualities import Qualities, way_length
+from soma_bullet.planner.qualities import Qualities
+from soma_bullet.planner.ways import way_length
 from soma_bullet.records import to_tree
 from soma_bullet.robot.cell import load_cell
 

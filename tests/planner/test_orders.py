@@ -21,9 +21,11 @@ from soma_bullet.grasp.options import SamplingOptions
 from soma_bullet.planner.analyzers import Judgement
 from soma_bullet.planner.assemblability import Assemblability
 from soma_bullet.planner.equilibrium import StateStability
+from soma_bullet.planner.holds import PUSH
 from soma_bullet.planner.options import PlannerOptions
 from soma_bullet.planner.orders import Orders
 from soma_bullet.planner.plan import NoPlanError, make_plan
+from soma_bullet.planner.pushes import Bearing
 from soma_bullet.planner.qualities import Qualities
 from soma_bullet.planner.search import NOTHING, follow, score_of
 
@@ -44,6 +46,7 @@ class Table:
     states: dict[str, StateStability]
     hands: int = 2
     ungraspable: set[tuple[str, str]] = field(default_factory=set)  # (held, next piece)
+    pushed: dict[tuple[str, str], str] = field(default_factory=dict)  # what the next piece pushes
     asked: list[Any] = field(default_factory=list)
 
     @property
@@ -63,6 +66,11 @@ class Table:
 
     def assemblability(self, piece: int, placed: frozenset[int]) -> Assemblability:
         return Assemblability("plane", 1.0, np.array((0.0, 0.0, -1.0)))
+
+    def bearing(self, placed: frozenset[int], held: frozenset[int], piece: int) -> Bearing:
+        weak = ("".join("abcd"[k] for k in sorted(placed)), "abcd"[piece])
+        strong = weak not in self.pushed or any("abcd"[k] == self.pushed[weak] for k in held)
+        return Bearing(1.0, 1.0) if strong else Bearing(0.1, 0.25, "abcd".index(self.pushed[weak]))
 
     def graspability(self, piece: int, placed: frozenset[int]) -> int:
         return 10 + piece
@@ -84,7 +92,8 @@ class Table:
 
 def held(table: Table, order: str) -> tuple[list[str], str]:
     """What is held after each step as far as the order goes, and what fails."""
-    orders, indices = Orders(table), tuple("abcd".index(p) for p in order)  # type: ignore[arg-type]
+    orders = Orders(table, frozenset({PUSH}))  # type: ignore[arg-type]
+    indices = tuple("abcd".index(p) for p in order)
     followed = follow(orders.supports, indices)
     reason = "" if followed.complete else orders.support_fault(indices, len(followed.holds[2])).reason
     return ["".join("abcd"[k] for k in sorted(s)) for s in followed.holds[2]], reason
@@ -181,7 +190,7 @@ def test_steps_that_orders_share_agree() -> None:
         states = {
             f"{p}/{h}": (ROBUST, LEANING, FALLS)[rng.integers(3)] for p in names for h in ("", *p, *_pairs(p))
         }
-        orders = Orders(Table(states | {"abcd/": ROBUST}))  # type: ignore[arg-type]
+        orders = Orders(Table(states | {"abcd/": ROBUST}), frozenset({PUSH}))  # type: ignore[arg-type]
         for order in ((0, 1, 2, 3), (2, 0, 3, 1)):
             followed = follow(orders.supports, order)
             paths = list(_paths(orders, order, 0, NOTHING))
@@ -197,7 +206,7 @@ def test_a_hand_that_is_not_needed_adds_nothing() -> None:
     better = StateStability("robust", 5.0, 5.0)
     table = Table({"ab/a": ROBUST, "ab/ab": better, "ab/b": LEANING, "abc/": ROBUST}, hands=3)
     assert held(table, "abc") == (["a", "a", ""], "")
-    holds = Orders(table).holds  # type: ignore[arg-type]
+    holds = Orders(table, frozenset({PUSH})).holds  # type: ignore[arg-type]
     assert holds.judge(frozenset({0, 1}), frozenset({0, 1})).quality == 0.5
     assert holds.judge(frozenset({0, 1}), frozenset({1})).quality == LEANING.quality
 

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from soma_bullet.planner.analyzers import Judgement
 from soma_bullet.planner.holds import Holds
 from soma_bullet.planner.options import PlannerOptions
+from soma_bullet.planner.pushes import Bearing
 from soma_bullet.planner.search import Found, Placed, Support, best_orders, follow, follow_all, score_of
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -71,6 +72,12 @@ class Instance:
 
     def assemblability(self, piece: int, placed: Placed) -> Any:
         return SimpleNamespace(direction=np.array((0.0, 0.0, -1.0)))
+
+    def bearing(self, placed: Placed, held: Placed, piece: int) -> Bearing:
+        weak = self.draw(9, placed, piece) < 0.4 * self.falling and not any(
+            self.draw(10, placed, k, piece) < 0.5 for k in held
+        )
+        return Bearing(0.1, 0.25) if weak else Bearing(1.0, 1.0)
 
     def can_assist(self, *question: Any) -> bool:
         return bool(self.assisting(*question))

@@ -166,7 +166,10 @@ def test_every_order_has_its_row(request: pytest.FixtureRequest, soma3: Assembly
             for field in (row.s, row.s_recomputed, row.g, row.a, row.types, row.directions, row.held)
         } == {3}
         assert not row.stable_throughout  # all six orders have states that fall
-        assert row.score == pytest.approx(min(row.s_recomputed) * min(row.g) * min(row.a))
+        if row.feasible:
+            assert row.score == pytest.approx(min(row.s_recomputed) * min(row.g) * min(row.a))
+        elif mode == "equilibrium":
+            assert row.score == 0.0 and row.reason
 
 
 def test_equilibrium_mode_says_what_holds_do(equilibrium: AssemblyPlan) -> None:
@@ -182,13 +185,9 @@ def test_equilibrium_mode_says_what_holds_do(equilibrium: AssemblyPlan) -> None:
 def test_an_excluded_order_is_not_taken(soma3: Assembly, hand: Hand, equilibrium: AssemblyPlan) -> None:
     second = make_plan(soma3, HandSet.alike(hand), excluded=frozenset({equilibrium.order}))
     assert second.order == ("BigL", "Z", "smallL")
-    (refused,) = (
-        second.passed_over
-    )  # the next best by geometry: no grasp of Z keeps smallL from tipping off it
-    assert refused.startswith("holding Z in {smallL, Z}") and "must take 1 x" in refused
+    assert "nothing carries BigL when it is placed" in second.warnings[0]  # no other does without
     two = make_plan(soma3, HandSet.alike(hand), PlannerOptions(top=2))
-    assert [two.order, *(other.order for other in two.alternatives)] == [equilibrium.order, second.order]
-    assert two.alternatives[0].steps == second.steps and two.alternatives[0].score == second.score
+    assert two.order == equilibrium.order and two.alternatives == ()
     with pytest.raises(NoSolutionError, match="orders of soma3"):
         make_plan(soma3, HandSet.alike(hand), excluded=frozenset(permutations(soma3.names)))
 

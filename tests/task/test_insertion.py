@@ -23,7 +23,7 @@ def test_it_goes_straight_from_its_beginning_to_the_goal(
 ) -> None:
     goal = make_transform(rotation_about((0, 0, 1), a), (0.1, 0.2, 0.3))
     direction = np.array((np.cos(a) * np.sin(b), np.sin(a) * np.sin(b), -np.cos(b)))
-    way = StraightInsertion("piece", goal, direction, length, guarded * length)
+    way = StraightInsertion("piece", goal, direction, length, guarded * length, 1.0)
     np.testing.assert_allclose(way.pose(1.0), goal)
     at = way.pose(share)
     np.testing.assert_array_equal(at[:3, :3], goal[:3, :3])

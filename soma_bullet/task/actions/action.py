@@ -32,6 +32,7 @@ class Step:
         opening: distance between the pads [m] that the hand goes to, None to leave it as it is.
         duration: [s] of waits.
         width: distance between the pads [m] that is expected after a grasp.
+        bears: force [N] with which the piece may press on what it meets.
     """
 
     kind: Kind
@@ -42,6 +43,7 @@ class Step:
     opening: float | None = None
     duration: float = 0.0
     width: float | None = None
+    bears: float = np.inf
 
 
 Steps = Generator[Step, CellState, CellState]

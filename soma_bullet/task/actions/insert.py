@@ -55,7 +55,7 @@ class Insert(Action):
         who = self.arm, self.piece
         yield Step(TRANSFER, *who, self.q_ready)
         for kind, offset in self.way.parts():
-            yield Step(kind, *who, self.q_goal if kind is PLACE else None, offset)
+            yield Step(kind, *who, self.q_goal if kind is PLACE else None, offset, bears=self.way.bears)
         return (yield Step(SETTLE, *who, duration=SETTLING))
 
 
@@ -87,7 +87,7 @@ def _insertion(planning: Planning, k: int) -> StraightInsertion:
     cell, step = planning.workcell, planning.plan.steps[k]
     direction, length = readonly(step.direction), step.way + planning.sizes.run_in
     guarded = guarded_length(cell, step.piece, np.array(direction), length, planning.standing(k))
-    return StraightInsertion(step.piece, cell.settled[step.piece], direction, length, guarded)
+    return StraightInsertion(step.piece, cell.settled[step.piece], direction, length, guarded, step.bears)
 
 
 def candidates(planning: Planning, k: int, candidate: Candidate) -> list[Array]:

@@ -15,6 +15,7 @@ from soma_bullet.motion.timing import TimingError
 from soma_bullet.motion.transfer import TransferError
 from soma_bullet.robot.collision import Scene
 from soma_bullet.seeds import derived
+from soma_bullet.sizes import CLEAR
 from soma_bullet.task.actions.action import Action, Step, Steps, alike
 from soma_bullet.task.actions.go_home import GoHome
 from soma_bullet.task.actions.hand_over import HandOver
@@ -25,7 +26,7 @@ from soma_bullet.task.limits import Effort
 from soma_bullet.task.program.motions import plan_motion, scene_of, straight_motion, widths_to
 from soma_bullet.task.program.program import Moment, beginning
 from soma_bullet.task.schedule import Assignment, Schedule
-from soma_bullet.task.segment import NO_PATH, SMALLEST_JUMP, UP, Segment
+from soma_bullet.task.segment import DOWN, LEVEL, NO_PATH, SMALLEST_JUMP, STEEP, UP, Segment
 from soma_bullet.task.state import CellState
 from soma_bullet.task.workcell import Workcell
 
@@ -222,7 +223,7 @@ class ProgramBuilder:
             step.duration,
             width=step.width,
         )
-        segment = guarded(self.workcell, segment, before)
+        segment = guarded(self.workcell, segment, before, step.bears)
         self.state = as_planned(self.workcell, self.state, segment)
         return before, segment, self.state
 
@@ -266,18 +267,42 @@ class ProgramBuilder:
         return f"{error.cause} in collision{met}"
 
 
-def guarded(workcell: Workcell, segment: Segment, before: CellState) -> Segment:
-    """A segment with its guard and its compliance, where it has them."""
+def guarded(workcell: Workcell, segment: Segment, before: CellState, bears: float) -> Segment:
+    """A segment with its guard and its compliance, where it has them.
+
+    A placing ends by touch downwards only. Sideways it ends where it should: what it would have to meet there
+    is pushed away.
+
+    Args:
+        bears: force [N] with which the piece may press on what it meets.
+    """
     if not segment.kind.guarded:
         return segment
     end = segment.path[-1] if len(segment.path) else before.qs[segment.arm]
     jacobian = workcell.robot.jacobian(segment.arm, end)
     compliance = jacobian.T @ np.linalg.inv(jacobian @ jacobian.T + DAMPING**2 * np.eye(6))
-    stopped = segment.kind.ends != "goal" or workcell.stopped(segment.piece, segment.last_way, before.placed)
     sizes = workcell.sizes
+    segment = replace(segment, raised=_raised(workcell, segment, before))
+    stopped = segment.kind.ends != "goal" or (
+        float(segment.last_way @ DOWN) > LEVEL
+        and workcell.stopped(segment.piece, segment.last_way, before.placed)
+    )
     return replace(
         segment,
-        guard=sizes.guard,
+        guard=min(sizes.guard, max(sizes.touch, bears)),
         compliance=readonly(compliance),
         beyond=sizes.beyond if stopped else 0.0,
     )
+
+
+def _raised(workcell: Workcell, segment: Segment, before: CellState) -> float:
+    """How far above its path a guarded line brings its piece [m]."""
+    if LEVEL < segment.downward < STEEP:
+        return workcell.sizes.fall
+    if segment.kind.ends != "goal" or abs(segment.downward) > LEVEL:
+        return 0.0
+    if not workcell.stopped(segment.piece, DOWN, before.placed):
+        return 0.0
+    if workcell.stopped(segment.piece, UP, before.placed):  # between what carries it and a roof
+        return float(workcell.assembly.drops[workcell.assembly.index(segment.piece)])
+    return CLEAR

@@ -131,4 +131,4 @@ def replan(workcell: Workcell, program: Program, index: int, qs: Sequence[Array]
     except (LineError, TransferError, TimingError) as error:
         reason = f"{segment.piece}: {segment.kind} cannot be made from the measured joints: {error}"
         raise NoSolutionError("motion", reason) from None
-    return guarded(workcell, replace(segment, path=readonly(path)), before)
+    return guarded(workcell, replace(segment, path=readonly(path)), before, segment.guard)
