@@ -90,6 +90,16 @@ class Sizes:
         return 2e-3 * self.scale
 
     @cached_property
+    def shut(self) -> float:
+        """Pads nearer to each other have nothing between them [m]."""
+        return 0.5e-3 * self.scale
+
+    @cached_property
+    def displaced(self) -> float:
+        """A placed piece that is seen farther from its goal is placed again, if nothing lies on it [m]."""
+        return 1.5e-3 * self.scale
+
+    @cached_property
     def fallen(self) -> float:
         """A placed piece that is seen farther from its goal has fallen [m]."""
         return 5e-3 * self.scale

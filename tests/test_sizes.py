@@ -25,6 +25,8 @@ SOMA = {  # [m], [N]
     "jam": 0.001,
     "seated": 0.00035,
     "empty": 0.002,
+    "shut": 0.0005,
+    "displaced": 0.0015,
     "fallen": 0.005,
     "gone": 0.015,
     "aside": 0.03,

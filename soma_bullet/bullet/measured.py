@@ -186,6 +186,11 @@ class Measured(Stage):
             contacts,
         )
 
+    def felt_grip(self, arm: int) -> float:
+        """Force with which what is between the pads of a hand presses them apart [N]."""
+        pads = set(self.finger_links[arm])
+        return sum(force for a, b, force, _ in self.contacts() for side in (a, b) if side in pads) / 2
+
     def poses(self, places: Array) -> Array:
         """T_world_piece (m, n, 4, 4) of m times `places_of_pieces`."""
         return self.frames_of_pieces(places)

@@ -131,7 +131,7 @@ class Executor:
             yield from rest(segment.duration - (world.time - start))
         if segment.kind is GRASP:
             assert segment.width is not None
-            if world.openings()[arm] < segment.width - self.sizes.empty:
+            if self.travel.lost(arm, segment.width):
                 motion.outcome = "lost"
             else:
                 self.travel.carried[arm] = segment.width

@@ -11,10 +11,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from itertools import count
 
 import numpy as np
 
 from soma_bullet.control.execute import Executor, Observation
+from soma_bullet.control.onward import Onward
 from soma_bullet.control.options import ExecutionOptions
 from soma_bullet.control.perception import Perception
 from soma_bullet.control.placement import Detour, Placement
@@ -24,16 +26,17 @@ from soma_bullet.frames import readonly
 from soma_bullet.grasp.clearance import OPENING
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.seeds import derived
+from soma_bullet.task.actions.action import Identity
 from soma_bullet.task.feed_options import FeedOptions
 from soma_bullet.task.kinds import GRASP, PLACE, RETREAT, SETTLE, as_planned
 from soma_bullet.task.limits import USUAL
-from soma_bullet.task.program.make import recover_program, replan
+from soma_bullet.task.program.make import replan
 from soma_bullet.task.program.motions import joined
 from soma_bullet.task.program.overlap.concurrent import Concurrent
 from soma_bullet.task.program.overlap.loosen import overlapped
 from soma_bullet.task.program.program import Program, beginning
 from soma_bullet.task.search_options import SearchOptions
-from soma_bullet.task.segment import SMALLEST_JUMP, Segment
+from soma_bullet.task.segment import LOOKING, SMALLEST_JUMP, Segment
 from soma_bullet.task.workcell import Workcell
 
 LARGEST_JUMP = 0.01  # [rad] a path that starts no farther from the measured joints is bent to meet them
@@ -74,7 +77,6 @@ class Executive:
     ):
         self.workcell, self.plan, self.program, self.executor = workcell, plan, program, executor
         self.ablate, self.together, self.progress = ablate, options.together, progress
-        self.search = search
         self.correct, self.longest = options.recover, options.longest
         self.recover = options.recover and not ablate
         self.state = beginning(workcell, program.feed, program.start)
@@ -83,6 +85,8 @@ class Executive:
         )
         self.placement = Placement(workcell, executor, self.perception, self.recover)
         self.recovery = Recovery(workcell, plan, executor, self.perception)
+        self.onward, self.avoid = Onward(workcell, plan, search), set[Identity]()
+        self.look = options.look if self.recover else "never"
 
     def run(self) -> str:
         """Returns `done`, or why it stopped."""
@@ -95,24 +99,42 @@ class Executive:
             fallen = self.recovery.fallen(self.state) if trouble is None and self.recover else []
             if trouble is None and not fallen:
                 return "done"
-            piece = trouble.segment.piece if trouble else fallen[0]
-            what = f"{piece} {trouble.reason}" if trouble else f"{', '.join(fallen)} fell"
-            self.executor.note_event("trouble", piece, what)
+            piece = trouble.piece if trouble else ", ".join(fallen)
+            reason = trouble.reason if trouble else "fell"
+            what = f"{piece} {reason}"
+            self.executor.note_event("trouble", piece, reason)
             if not self.recover or again == RECOVERIES:
                 return what
             again += 1
             try:
-                self.state = self.recovery.found(program, self.state, trouble)
-                seed, feed = derived(self.executor.seed, "recovery", again), self.program.feed
-                program = recover_program(
-                    self.workcell, self.plan, self.state, seed, feed.noise, feed.square, self.search
-                )
-                program = overlapped(self.workcell, program) if self.together else program
+                program = self._onward(program, trouble, again)
             except NoSolutionError as error:
                 self.executor.note_event("given up", piece, error.summary)
                 return f"{what}; {error.summary}"
-            done = len(self.state.placed)
-            self.executor.note_event("planned anew", piece, f"from step {done + 1}")
+
+    def _onward(self, program: Program, trouble: Trouble | None, again: int) -> Program:
+        """The program of what is left, from the state as it is found. Raises NoSolutionError."""
+        if trouble is not None and trouble.seen is not None:
+            step = trouble.segment.step
+            failed = (a.insert.identity for a in program.schedule.assignments if a.step == step)
+            self.avoid.update(failed)  # another try differs
+        found, displaced = self.recovery.found(program, self.state, trouble)
+        made = count()
+        order = self.plan.order
+        self.plan, program = self.onward.program(
+            self.plan, found, displaced,
+            lambda: derived(self.executor.seed, "recovery", again, next(made)),
+            self.program.feed, self.avoid,
+        )  # fmt: skip
+        assert program.start is not None
+        self.state, self.recovery.plan = program.start, self.plan
+        program = overlapped(self.workcell, program) if self.together else program
+        done = len(self.state.placed)
+        text = f"from step {done + 1}"
+        if self.plan.order != order:
+            text += f", in another order: {' <- '.join(self.plan.order[done:])}"
+        self.executor.note_event("planned anew", "", text)
+        return program
 
     # --- running a program ---------------------------------------------------------------------------------
 
@@ -196,6 +218,8 @@ class Executive:
         """What is run for a segment: itself, and around a placing what `Placement` makes of it."""
         if segment.kind is PLACE and self.correct:
             return (yield from self.placement.run(segment, concurrent, self._alone))
+        if segment.kind is SETTLE and self.look != "never":
+            segment = replace(segment, duration=segment.duration + LOOKING)
         return (yield segment)
 
     def _alone(self) -> bool:
@@ -214,4 +238,8 @@ class Executive:
             assignment = next(a for a in program.schedule.assignments if a.step == segment.step)
             if segment.piece in assignment.holds:
                 self.executor.let_go(segment, assignment.insert.width + 2 * OPENING)
+        if self.look == "each" or (self.look == "placed" and segment.kind is SETTLE):
+            off = tuple(self.recovery.displaced(self.state))
+            if off:
+                return Trouble(k, segment, None, "not where it should be", off)
         return None

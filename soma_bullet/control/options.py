@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Literal
 
 from soma_bullet.option import NOT_NEGATIVE, POSITIVE, Options, Range
 
@@ -62,6 +62,10 @@ class ExecutionOptions(Options):
     recover: bool = True
     """What does not go as planned is tried again where possible; --execution.no-recover: it ends the
     episode."""
+    look: Literal["never", "placed", "each"] = "placed"
+    """When it is looked whether the placed pieces are where they should be: `never` before the end, after
+    each piece that is `placed`, or after `each` thing that a hand does. What was displaced is placed
+    again."""
     longest: Annotated[float, Range(0, 1e5, above=True)] = 900.0
     """Simulated time [s] after which an episode is ended."""
     compliance: Compliance = Compliance()

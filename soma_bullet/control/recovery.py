@@ -23,17 +23,25 @@ from soma_bullet.task.segment import DT, NO_PATH, OPENING_TIME, Segment
 from soma_bullet.task.state import CellState
 from soma_bullet.task.workcell import Workcell
 
+DISPLACED_DEG = 1.5  # [deg] a placed piece that is seen turned farther is placed again
+SIGMAS = 3.0  # of a look, that a piece may seem displaced by
 FALLEN_DEG = 10.0  # [deg] a placed piece that is seen turned farther has fallen
 
 
 @dataclass(frozen=True, eq=False)
 class Trouble:
-    """What did not go as planned: a segment of the program."""
+    """What did not go as planned: a segment of the program, or what was seen after it of other pieces."""
 
     index: int
     segment: Segment
     seen: Observation | None
     reason: str
+    others: tuple[str, ...] = ()
+
+    @property
+    def piece(self) -> str:
+        """The piece that it is about, or several."""
+        return ", ".join(self.others) or self.segment.piece
 
 
 class Recovery:
@@ -47,19 +55,35 @@ class Recovery:
         """Pieces that were placed and are seen elsewhere, in the order of the plan."""
         poses = self.perception.look() if poses is None else poses
         placed = [name for name in self.plan.order if name in state.placed]
-        return [name for name in placed if self._off(name, poses[name])]
+        return [
+            name for name in placed if self._off(name, poses[name], self.workcell.sizes.fallen, FALLEN_DEG)
+        ]
 
-    def _off(self, name: str, pose: Array) -> bool:
+    def displaced(self, state: CellState, poses: Mapping[str, Array] | None = None) -> list[str]:
+        """Pieces that were placed and are seen beside their goals, or elsewhere, and on which nothing lies
+        that is where it should be; in the order of the plan. What perception errs by is allowed for."""
+        poses = self.perception.look() if poses is None else poses
+        mm, deg = (SIGMAS * sigma for sigma in self.perception.noise)
+        most = self.workcell.sizes.displaced + mm * 1e-3, DISPLACED_DEG + deg
+        off = [n for n in self.plan.order if n in state.placed and self._off(n, poses[n], *most)]
+        there = state.placed - set(off)
+        return [name for name in off if not any(self.workcell.carries(name, upper) for upper in there)]
+
+    def _off(self, name: str, pose: Array, most: float, most_deg: float) -> bool:
+        """Whether a piece is farther from its goal than so much [m], [deg]."""
         goal, piece = self.workcell.settled[name], self.workcell.body(name)
         shift = np.linalg.norm(apply(pose, piece.center_of_mass) - apply(goal, piece.center_of_mass))
         turned = rotation_angle(pose[:3, :3], goal[:3, :3])
-        return bool(shift > self.workcell.sizes.fallen or turned > np.deg2rad(FALLEN_DEG))
+        return bool(shift > most or turned > np.deg2rad(most_deg))
 
-    def found(self, program: Program, state: CellState, trouble: Trouble | None) -> CellState:
-        """The state to go on from, as it is seen and measured.
+    def found(
+        self, program: Program, state: CellState, trouble: Trouble | None
+    ) -> tuple[CellState, list[str]]:
+        """The state to go on from, as it is seen and measured: the hands clear of what they lost, and of all
+        that stands where something fell or was displaced. And what was displaced without having fallen.
 
         Raises:
-            NoSolutionError: the plan does not go on from what stands, or a hand cannot leave.
+            NoSolutionError: a hand cannot leave.
         """
         if trouble is not None and trouble.seen is not None and trouble.seen.outcome == "lost":
             state = self._withdraw(program, state, trouble.index, trouble.segment)
@@ -67,19 +91,13 @@ class Recovery:
             if list(state.gripped.values()).count(body) > 1:  # amid a hand-over: one of the two hands lets go
                 state = self._back_away(state, arm, body)
         poses = self.perception.look()
-        fallen = self.fallen(state, poses)
+        down, beside = self.fallen(state, poses), self.displaced(state, poses)
+        fallen = [name for name in self.plan.order if name in {*down, *beside}]
         if fallen:
-            self.executor.note_event("fallen", fallen[0], f"{', '.join(fallen)} not in place")
+            self.executor.note_event("fallen", ", ".join(fallen), "not in place")
             for arm, body in state.held.items():
                 state = self._back_away(state, arm, body)
         placed = state.placed - set(fallen)
-        order = self.plan.order
-        step = next((k for k, name in enumerate(order) if name not in placed), len(order))
-        if set(order[:step]) != placed:
-            standing = ", ".join(name for name in order if name in placed)
-            raise NoSolutionError(
-                "schedule", f"{standing} are in place, which no step of the plan begins with"
-            )
         world, robot = self.executor.world, self.workcell.robot
         qs = world.measured_joints()
         carried = {
@@ -87,9 +105,11 @@ class Recovery:
             for arm, body in sorted(state.gripped.items())
             if body not in placed
         }
-        known = {name: self.workcell.settled[name] if name in placed else T for name, T in poses.items()}
+        stands = self.workcell.stands
+        known = {name: stands(name, T) if name in placed else T for name, T in poses.items()}
         joints = tuple(readonly(q) for q in qs)
-        return CellState(known, joints, world.openings(), state.gripped, carried, placed, state.joined)
+        found = CellState(known, joints, world.openings(), state.gripped, carried, placed, state.joined)
+        return found, [name for name in beside if name not in down]
 
     def _withdraw(self, program: Program, state: CellState, index: int, segment: Segment) -> CellState:
         """Open a hand that has nothing, and go back the way it came if it is at a grasp."""

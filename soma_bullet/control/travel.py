@@ -22,6 +22,7 @@ from soma_bullet.world.simulator import Simulator
 TARE = 0.1  # [s] at rest before a guarded segment
 FILTER = 4  # samples of the force that are averaged
 LEANING = 0.3  # [s] of resistance so near to its end after which a guided motion has arrived as well
+FELT = 0.2  # of the grip force: where less presses the pads apart there is nothing between them
 WATCH = 5  # samples between looks at the width of a hand that carries
 LOWERING = 8e-3  # [m/s] of the last way straight down
 NARROW = 0.5  # of the length of that way: largest radius of a search on it
@@ -64,6 +65,17 @@ class Travel:
         self.carried.pop(arm, None)
         self.tares.pop(arm, None)
 
+    def lost(self, arm: int, width: float) -> bool:
+        """Whether a hand has nothing where it should have a piece of that width [m]: the pads meet, or they
+        are nearer than that and nothing presses them apart. What is squeezed, or sits otherwise in the hand,
+        is not lost."""
+        opening = float(self.world.openings()[arm])
+        if opening < self.sizes.shut:
+            return True
+        return opening < width - self.sizes.empty and self.world.felt_grip(
+            arm
+        ) < FELT * self.world.grip_force(arm)
+
     def go(self, segment: Segment, motion: Motion) -> Steps:
         """Follow the path of a segment as it asks, and say in `motion` what came of it."""
         if segment.guard and self.compliance is not None and len(segment.compliance):
@@ -103,11 +115,7 @@ class Travel:
                 upkeep.at(k)
             world.command_arm(arm, q)
             yield
-            if (
-                k % WATCH == 0
-                and arm in self.carried
-                and world.openings()[arm] < self.carried[arm] - self.sizes.empty
-            ):
+            if k % WATCH == 0 and arm in self.carried and self.lost(arm, self.carried[arm]):
                 del self.carried[arm]
                 motion.outcome = "lost"
                 return

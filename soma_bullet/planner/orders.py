@@ -98,10 +98,15 @@ class Fault:
 
 
 class Orders:
-    """Rows of orders of one assembly; steps that orders share are evaluated once."""
+    """Rows of orders of one assembly; steps that orders share are evaluated once.
 
-    def __init__(self, qualities: Qualities, rules: frozenset[str] = RULES):
-        self.q, self.rules = qualities, rules
+    Args:
+        rules: what is asked of an order.
+        placed: pieces that are in place already; every order begins with them.
+    """
+
+    def __init__(self, qualities: Qualities, rules: frozenset[str] = RULES, placed: tuple[int, ...] = ()):
+        self.q, self.rules, self.placed = qualities, rules, placed
         self.holds = Holds(qualities, rules)
         self.names = qualities.assembly.names
         self.count = len(self.names)
@@ -144,7 +149,7 @@ class Orders:
 
     def all_rows(self) -> list[OrderRow]:
         """Every order, in lexicographic order of the file's pieces."""
-        followed = list(follow_all(self))
+        followed = list(follow_all(self, self.placed))
         rows = [self._row(item) for item in followed]
         if not self.paper or not any(row.feasible and row.stable_throughout for row in rows):
             return rows
@@ -156,18 +161,18 @@ class Orders:
         most = self.q.options.labels
         if self.paper:
             self.raw_only = True
-            search = best_orders(self, count, self.bound, most)
+            search = best_orders(self, count, self.bound, most, self.placed)
             if search.found:
                 raw = (Followed(f.order, (0.0, FREE, f.held, f.s), True) for f in search.found)
                 return [self._row(item, raw=True) for item in raw], search
             self.raw_only = False
-        search = best_orders(self, count, self.bound, most)
+        search = best_orders(self, count, self.bound, most, self.placed)
         followed = (Followed(f.order, (f.minima[0], f.cost, f.held, f.s), True) for f in search.found)
         return [self._row(item) for item in followed], search
 
     def row(self, order: Sequence[int]) -> OrderRow:
         """The row of one order (indices of the pieces)."""
-        return self._row(follow(self.supports, tuple(order)))
+        return self._row(follow(self.supports, tuple(order), len(self.placed)))
 
     def _row(self, followed: Followed, raw: bool = False) -> OrderRow:
         order, (_, _, held, s_held) = followed.order, followed.holds
@@ -186,7 +191,9 @@ class Orders:
             s_held, held = (*s_held, *[0.0] * missing), (*held, *[NOTHING] * missing)
         fault = self._fault(followed, cells)
         columns = list(zip(*(cell.values for cell in cells), strict=True))  # one for each analyzer
-        score = 0.0 if fault else score_of((min(s if raw else s_held), *map(min, columns)))
+        first = len(self.placed)
+        left = (min(column[first:], default=math.inf) for column in columns)
+        score = 0.0 if fault else score_of((min((s if raw else s_held)[max(first - 1, 0) :]), *left))
         return OrderRow(
             order=tuple(self.names[p] for p in order),
             s=s,
@@ -229,7 +236,8 @@ class Orders:
     def _fault(self, followed: Followed, cells: list[_Cell]) -> Fault | None:
         """The first step that cannot be done."""
         order, k = followed.order, len(followed.holds[2])
-        first = next((Fault(i, cell.fault, cell.reason) for i, cell in enumerate(cells) if cell.fault), None)
+        faults = (Fault(i, cell.fault, cell.reason) for i, cell in enumerate(cells) if cell.fault)
+        first = next((fault for fault in faults if fault.step >= len(self.placed)), None)
         if followed.complete or (first is not None and first.step <= k):
             return first
         if (

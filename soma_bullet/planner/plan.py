@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -55,6 +55,7 @@ def make_plan(
     options: PlannerOptions | None = None,
     excluded: frozenset[tuple[str, ...]] = frozenset(),
     qualities: Qualities | None = None,
+    placed: tuple[PlanStep, ...] = (),
 ) -> AssemblyPlan:
     """Find the best order, with all that a dual-arm task needs.
 
@@ -62,6 +63,7 @@ def make_plan(
         hands: those of the arms.
         excluded: orders that a later stage found impossible.
         qualities: of the same assembly, hands and options, to share what was evaluated.
+        placed: the steps that are done: their pieces stand, and no hand holds anything.
 
     Raises:
         InputError: the finished assembly cannot stand, or an analyzer is not known.
@@ -71,11 +73,12 @@ def make_plan(
     options.check()
     qualities = qualities or Qualities(assembly, hands, options)
     _check_final(assembly, Orders(qualities))
+    begun = tuple(assembly.index(step.piece) for step in placed)
     for rules in TIERS if options.stability != PAPER else TIERS[-1:]:
-        orders, refusals = Orders(qualities, rules), list[str]()
+        orders, refusals = Orders(qualities, rules, begun), list[str]()
         while True:
             try:
-                return _plan(orders, options, excluded, refusals)
+                return _plan(orders, options, excluded, refusals, placed)
             except _RefusedHold as refused:  # the orders are ranked anew without it
                 refusals.append(str(refused))
             except NoPlanError as error:
@@ -89,7 +92,11 @@ class _RefusedHold(Exception):
 
 
 def _plan(
-    orders: Orders, options: PlannerOptions, excluded: frozenset[tuple[str, ...]], refusals: list[str]
+    orders: Orders,
+    options: PlannerOptions,
+    excluded: frozenset[tuple[str, ...]],
+    refusals: list[str],
+    placed: tuple[PlanStep, ...],
 ) -> AssemblyPlan:
     qualities, assembly = orders.q, orders.q.assembly
     ranking = _ranked(orders, options.top, excluded)
@@ -105,9 +112,10 @@ def _plan(
     passed_over: list[str] = []
     for row in [first, *(row for row in candidates if row is not first)]:
         order = tuple(orders.names.index(name) for name in row.order)
-        followed = follow(orders.holds.supports, order)
+        followed = follow(orders.holds.supports, order, len(placed))
         if followed.complete:
-            planned.append(PlannedOrder(row.order, row.score, _steps(orders, order, followed.holds[2])))
+            steps = _steps(orders, order, followed.holds[2], placed)
+            planned.append(PlannedOrder(row.order, row.score, steps))
         else:  # paper mode alone: it may count on states that fall
             fault = orders.support_fault(order, len(followed.holds[2]))
             passed_over.append(f"{' <- '.join(row.order)} (score {row.score:.4g}): {fault.reason}")
@@ -193,8 +201,10 @@ def _ranked(orders: Orders, top: int, excluded: frozenset[tuple[str, ...]]) -> _
             how = f"not proven best: the best of {len(rows)} orders that were found; {limit}"
         return _Ranking(rows, how, f"none of the {len(rows)} best orders of {name} can be built")
     # every way ends somewhere: say where the ways of some orders do
-    samples = np.random.default_rng(0).permuted(np.tile(np.arange(orders.count), (SAMPLES, 1)), axis=1)
-    drawn = [orders.row(tuple(int(k) for k in order)) for order in np.unique(samples, axis=0)]
+    left = np.array([k for k in range(orders.count) if k not in orders.placed])
+    samples = np.random.default_rng(0).permuted(np.tile(left, (SAMPLES, 1)), axis=1)
+    ways = ((*orders.placed, *order) for order in np.unique(samples, axis=0).tolist())
+    drawn = [orders.row(order) for order in ways]
     drawn.sort(key=lambda row: (not row.feasible, -row.score))
     why = f"what rules out {len(drawn)} orders drawn at random"
     if search.ended:
@@ -219,19 +229,29 @@ def _check_final(assembly: Assembly, orders: Orders) -> None:
     )
 
 
-def _steps(orders: Orders, order: tuple[int, ...], held: tuple[Placed, ...]) -> tuple[PlanStep, ...]:
-    """Steps of an order with its holds. Raises _RefusedHold."""
+def _steps(
+    orders: Orders, order: tuple[int, ...], held: tuple[Placed, ...], done: tuple[PlanStep, ...]
+) -> tuple[PlanStep, ...]:
+    """Steps of an order with its holds; those that are done stay, but for what is held after the last.
+
+    Raises _RefusedHold."""
     qualities, assembly = orders.q, orders.q.assembly
-    steps = []
-    for k, piece in enumerate(order):
+    steps = list(done[:-1])
+    for k, piece in list(enumerate(order))[len(steps) :]:
         before, placed = frozenset(order[:k]), frozenset(order[: k + 1])
         upcoming = order[k + 1] if k + 1 < len(order) else None
+        state = qualities.stability(placed, held[k])
+        in_hand = {piece} | (held[k - 1] if k else frozenset())
+        if k < len(done):
+            in_hand = set()
+        holds = [_hold(orders, placed, j, upcoming, state.verdict, j not in in_hand) for j in sorted(held[k])]
+        if k < len(done):
+            after = replace(done[k], holds=tuple(holds), verdict=state.verdict, margin=state.margin)
+            steps.append(replace(after, margin_sides=state.margin_sides))
+            continue
         way = qualities.assemblability(piece, before)
         assert way.direction is not None
-        state = qualities.stability(placed, held[k])
         bearing = qualities.bearing(before, held[k - 1] if k else NOTHING, piece)
-        in_hand = {piece} | (held[k - 1] if k else frozenset())
-        holds = [_hold(orders, placed, j, upcoming, state.verdict, j not in in_hand) for j in sorted(held[k])]
         steps.append(
             PlanStep(
                 piece=assembly.names[piece],

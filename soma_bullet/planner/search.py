@@ -141,7 +141,11 @@ def best_holds(labels: dict[Placed, list[_Holds]]) -> _Holds:
     return min(every, key=lambda label: (-label[0], label[1], [sorted(held) for held in label[2]]))
 
 
-START: dict[Placed, list[_Holds]] = {NOTHING: [(math.inf, FREE, (), ())]}
+def started(placed: tuple[int, ...]) -> dict[Placed, list[_Holds]]:
+    """The labels before anything is held: what is placed already stands, and its last piece is in the hand
+    that placed it."""
+    before = max(len(placed) - 1, 0)
+    return {NOTHING: [(math.inf, FREE, (NOTHING,) * before, (math.inf,) * before)]}
 
 
 @dataclass(frozen=True)
@@ -159,10 +163,10 @@ class Followed:
     complete: bool
 
 
-def follow(supports: Supports, order: tuple[int, ...]) -> Followed:
-    """One order with its best holds."""
-    labels = START
-    for k in range(len(order)):
+def follow(supports: Supports, order: tuple[int, ...], placed: int = 0) -> Followed:
+    """One order with its best holds; the first `placed` pieces are there already."""
+    labels = started(order[:placed])
+    for k in range(max(placed - 1, 0), len(order)):
         after = pareto_holds(supports, order[: k + 1], labels, order[k + 1] if k + 1 < len(order) else None)
         if not after:
             return Followed(order, best_holds(labels), False)
@@ -170,8 +174,9 @@ def follow(supports: Supports, order: tuple[int, ...]) -> Followed:
     return Followed(order, best_holds(labels), True)
 
 
-def follow_all(steps: Steps) -> Iterator[Followed]:
-    """Every order, in lexicographic order; parts that orders share are followed once."""
+def follow_all(steps: Steps, placed: tuple[int, ...] = ()) -> Iterator[Followed]:
+    """Every order that begins with what is placed already, in lexicographic order; parts that orders share
+    are followed once."""
 
     def extend(
         order: tuple[int, ...], labels: dict[Placed, list[_Holds]], dead: _Holds | None
@@ -187,11 +192,17 @@ def follow_all(steps: Steps) -> Iterator[Followed]:
             else:
                 yield from extend((*order, piece), after, end)
 
-    yield from extend((), START, None)
+    yield from extend(placed, started(placed), None)
 
 
-def best_orders(steps: Steps, count: int, bound: Bound | None = None, most: int = LABELS) -> Search:
-    """The `count` best orders, fewer where fewer are possible.
+def best_orders(
+    steps: Steps,
+    count: int,
+    bound: Bound | None = None,
+    most: int = LABELS,
+    placed: tuple[int, ...] = (),
+) -> Search:
+    """The `count` best orders that begin with what is placed already, fewer where fewer are possible.
 
     Exact: labels leave a queue in the order of their score, which no later step can raise; a label is dropped
     only where `count` others reach the same situation with no smaller minimum and no larger cost. Where the
@@ -202,9 +213,14 @@ def best_orders(steps: Steps, count: int, bound: Bound | None = None, most: int 
         most: labels that the search may make.
     """
     frontier = _Frontier(steps, count, bound)
-    for piece in range(steps.count):
-        minima = (math.inf, *steps.insertion(NOTHING, piece))
-        frontier.push(Found((piece,), (), (), minima, FREE), NOTHING)
+    if placed:
+        _, _, before, s = started(placed)[NOTHING][0]
+        free = (math.inf,) * (1 + len(steps.insertion(NOTHING, placed[0])))
+        frontier.push(Found(placed, before, s, free, FREE), NOTHING)
+    else:
+        for piece in range(steps.count):
+            minima = (math.inf, *steps.insertion(NOTHING, piece))
+            frontier.push(Found((piece,), (), (), minima, FREE), NOTHING)
     found: dict[tuple[int, ...], Found] = {}
     while frontier.queue and len(found) < count and frontier.made < most:
         if not frontier.deepest_first and not frontier.complete and frontier.made > (1 - DIVE) * most:

@@ -90,10 +90,10 @@ def _add_order(tree: Tree, label: str, planned: PlannedOrder) -> None:
 
 def _insertion(step: PlanStep) -> str:
     along = ", ".join(f"{value:.2f}" for value in step.direction)
+    bears = f"; what is placed bears a push of {step.bears:.2f} N" if step.bears < LARGEST else ""
     return (
         f"along ({along}) over {step.way * 1e3:.0f} mm; contact type {step.type}; {len(step.grasps)} "
-        f"candidate grasps"
-        + (f"; what is placed bears a push of {step.bears:.2f} N" if step.bears < LARGEST else "")
+        f"candidate grasps{bears}"
     )
 
 

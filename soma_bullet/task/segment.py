@@ -20,6 +20,7 @@ NOWHERE = readonly(np.zeros(3))
 NO_PATH = readonly(np.zeros((0, 0)))
 SMALLEST_JUMP = 1e-4  # [rad] a segment that starts farther from the measured joints is made anew
 SETTLING = 0.2  # [s] after a placing
+LOOKING = 0.1  # [s] that a look at the placed pieces takes
 FOLLOWING = 0.5  # [s] about, until a hand that follows down is stopped
 CLOSING, OPENING_TIME = 0.5, 0.3  # [s] for the hand to grip, and to let go
 

@@ -90,6 +90,9 @@ class Sensors(Protocol):
     def openings(self) -> Array:
         """Distances between the pads (arms,) [m]."""
 
+    def felt_grip(self, arm: int) -> float:
+        """Force with which what is between the pads of a hand presses them apart [N]."""
+
     def load(self, arm: int) -> Array:
         """Force on a hand [N], and torque about its centre between the pads [N m], as the wrist feels them
         (6,), in the axes of the world."""

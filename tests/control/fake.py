@@ -90,6 +90,9 @@ class FakeSimulator:
     def openings(self) -> Array:
         return self.gaps.copy()
 
+    def felt_grip(self, arm: int) -> float:
+        return self.forces[arm] if arm in self.held else 0.0
+
     def load(self, arm: int) -> Array:
         force = self.push(self.held[arm][0]) if arm in self.held else np.zeros(3)
         return np.concatenate([force, np.zeros(3)])

@@ -4,6 +4,7 @@ that are interrupted."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from soma_bullet.control.execute import Executor, Observation
 from soma_bullet.control.executive import RECOVERIES, Executive
+from soma_bullet.control.onward import Onward
 from soma_bullet.control.options import Compliance, ExecutionOptions
 from soma_bullet.control.perception import Perception
 from soma_bullet.control.placement import AGAIN
@@ -19,9 +21,11 @@ from soma_bullet.errors import NoSolutionError
 from soma_bullet.frames import Array, apply, inverse, make_transform, rotation_about, translate
 from soma_bullet.grasp.clearance import OPENING
 from soma_bullet.task.feed_options import FeedOptions
+from soma_bullet.task.kinds import PLACE
+from soma_bullet.task.limits import USUAL, Effort
 from soma_bullet.task.program.make import make_program
 from soma_bullet.task.program.overlap.loosen import overlapped
-from soma_bullet.task.program.program import Program, moments
+from soma_bullet.task.program.program import Program, beginning, moments
 from soma_bullet.task.search_options import SearchOptions
 from soma_bullet.task.segment import Segment
 from soma_bullet.task.state import CellState
@@ -132,7 +136,7 @@ def test_a_placing_that_jams_is_not_tried_for_ever() -> None:
     log = ran(loosened(), world_of(loosened(), BlockedForGood), ExecutionOptions(longest=25.0))
     tried = placings(log, first)[: 2 * AGAIN + 1]
     assert tried == ["place jammed", *AGAIN * ["back_off as planned", "place jammed"]]
-    assert f"{first} jammed in place" in [event.text for event in log.events]
+    assert "jammed in place" in [event.text for event in log.events]
 
 
 # --- hands that are interrupted ----------------------------------------------------------------------------
@@ -214,15 +218,25 @@ def test_what_has_fallen_at_last_is_placed_again() -> None:
     assert isinstance(world, FallingAtLast) and world.fell == last
     assert_built(log)
     assert "fallen" in kinds(log)
-    assert log.events[kinds(log).index("trouble")].text == f"{last} fell"
+    assert log.events[kinds(log).index("trouble")].text == "fell"
     assert [s.kind for s in log.segments if s.piece == last].count("place") == 2
 
 
-def test_where_no_step_begins_with_what_stands_it_gives_up_and_says_so() -> None:
-    """The first piece lies on the table, and the others stand, as if they could."""
+def test_where_no_step_begins_with_what_stands_it_goes_on_in_another_way() -> None:
+    """The first piece lies on the table, and the others stand, as if they could: what is in the way is taken
+    out again."""
     log = ran(loosened(), world_of(loosened(), FirstFalling))
-    first, *others = planned()[1].order
-    assert log.ended.startswith(f"{first} fell; ") and f"{', '.join(others)} are in place" in log.ended
+    assert_built(log)
+    assert kinds(log).count("planned anew") == 1
+
+
+def test_it_gives_up_where_no_way_is_left_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(*_: object) -> Program:
+        raise NoSolutionError("schedule", "made up")
+
+    monkeypatch.setattr("soma_bullet.control.onward.recover_program", refused)
+    log = ran(loosened(), world_of(loosened(), FirstFalling))
+    assert log.ended == f"{planned()[1].order[0]} fell; made up"
     assert kinds(log)[-1] == "given up" and not judged(log).success
 
 
@@ -264,7 +278,7 @@ def held_while_carried() -> CellState:
 def test_what_is_where_it_should_be_is_found_as_it_is() -> None:
     workcell, plan, program = planned()
     state = held_while_carried()
-    found = recovery(world_in(state), program).found(program, state, None)
+    found, _ = recovery(world_in(state), program).found(program, state, None)
     assert found.placed == state.placed and found.gripped == state.gripped
     assert found.carried.keys() == state.carried.keys()
     for name, pose in state.poses.items():
@@ -280,7 +294,7 @@ def test_a_piece_that_sits_otherwise_in_the_hand_is_found_so() -> None:
     (arm,) = state.carried
     slip = make_transform(rotation_about((0, 0, 1), 0.05), (0.001, 0.0, 0.002))
     world.held[arm] = world.held[arm][0], world.held[arm][1] @ slip
-    found = recovery(world, program).found(program, state, None)
+    found, _ = recovery(world, program).found(program, state, None)
     np.testing.assert_allclose(found.carried[arm], state.carried[arm] @ slip, atol=1e-6)
 
 
@@ -293,7 +307,7 @@ def test_hands_leave_what_has_fallen() -> None:
     world.held.pop(holder)
     world.lying[piece] = fallen = program.feed.pose(piece)
     there = recovery(world, program)
-    found = there.found(program, state, None)
+    found, _ = there.found(program, state, None)
     assert found.placed == frozenset() and found.gripped == {carrier: state.gripped[carrier]}
     assert found.carried.keys() == {carrier}
     np.testing.assert_allclose(found.poses[piece], fallen)
@@ -314,7 +328,7 @@ def test_a_hand_that_closed_on_nothing_opens_and_goes_back_as_it_came() -> None:
     world.gaps[arm] = 0.0
     there = recovery(world, program)
     nothing = Observation("lost", world.measured_joints(), world.openings(), np.zeros(3), 0.0)
-    found = there.found(program, before.gripping(arm, segment.piece), Trouble(k, segment, nothing, "lost"))
+    found, _ = there.found(program, before.gripping(arm, segment.piece), Trouble(k, segment, nothing, "lost"))
     assert found.gripped == {} and found.carried == {} and found.placed == before.placed
     approach = next(s for s in reversed(program.segments[:k]) if s.kind.name == "approach")
     np.testing.assert_allclose(found.qs[arm], approach.path[0], atol=1e-9)
@@ -331,7 +345,9 @@ def test_of_two_hands_on_one_piece_one_lets_go() -> None:
     )
     world = world_in(state)
     seen = Observation("jammed", world.measured_joints(), world.openings(), np.zeros(3), 0.0)
-    found = recovery(world, program).found(program, state, Trouble(k, program.segments[k], seen, "made up"))
+    found, _ = recovery(world, program).found(
+        program, state, Trouble(k, program.segments[k], seen, "made up")
+    )
     assert len(found.gripped) == len(found.carried) == 1
     (arm,) = found.gripped
     np.testing.assert_allclose(found.carried[arm], state.carried[arm], atol=1e-6)
@@ -359,13 +375,45 @@ def test_a_piece_that_is_seen_far_from_its_goal_has_fallen(share: float, deg: fl
     assert plan.order[1] not in there.fallen(state, {**poses, plan.order[1]: np.eye(4)})
 
 
-def test_no_state_is_found_that_no_step_begins_with() -> None:
+def test_a_piece_that_is_beside_its_goal_is_placed_again_unless_something_lies_on_it() -> None:
     workcell, plan, program = planned()
     first, second, third = plan.order
-    state = workcell.idle({**workcell.settled, first: program.feed.pose(first)})
+    assert workcell.carries(first, second)
+    state = workcell.idle({**workcell.settled, third: program.feed.pose(third)})
     state = state.placing(first).placing(second)
-    with pytest.raises(NoSolutionError, match=f"{second} are in place, which no step"):
-        recovery(world_in(state), program).found(program, state, None)
+    aside = (1.5 * workcell.sizes.displaced, 0.0, 0.0)
+    there = recovery(world_in(state), program)
+    for piece, again in ((first, []), (second, [second])):
+        poses = {**state.poses, piece: translate(workcell.settled[piece], aside)}
+        assert there.displaced(state, poses) == again and there.fallen(state, poses) == []
+    both = {**state.poses, **{n: translate(workcell.settled[n], aside) for n in (first, second)}}
+    assert there.displaced(state, both) == [first, second]
+    found, displaced = recovery(world_in(replace(state, poses=both)), program).found(program, state, None)
+    assert found.placed == frozenset() and displaced == [first, second]
+
+
+def test_a_plan_goes_on_from_any_pieces_that_stand() -> None:
+    """The second piece alone is in place: it is taken out, or the others are built around it."""
+    workcell, plan, program = planned()
+    first, second, _ = plan.order
+    state = workcell.idle(
+        {**workcell.settled, **{n: program.feed.pose(n) for n in plan.order if n != second}}
+    )
+    state = state.placing(second)
+    onward = Onward(workcell, plan, USUAL)
+    found, made = onward.program(plan, state, (), lambda: 1, program.feed, ())
+    assert made.start is not None and made.start.placed <= {second}
+    steps = {s.piece for s in made.segments if s.kind is PLACE}
+    assert steps == set(plan.order) - made.start.placed
+    assert {step.piece for step in found.steps[: len(made.start.placed)]} == made.start.placed
+
+
+def test_what_went_wrong_is_done_differently() -> None:
+    workcell, plan, program = planned()
+    onward, state = Onward(workcell, plan, USUAL), program.start or beginning(workcell, program.feed, None)
+    failed = program.schedule.assignments[0].insert.identity
+    _, again = onward.program(plan, state, (), lambda: 1, program.feed, (failed,))
+    assert again.schedule.assignments[0].insert.identity != failed
 
 
 def test_an_episode_recovers_only_so_often(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -378,13 +426,15 @@ def test_an_episode_recovers_only_so_often(monkeypatch: pytest.MonkeyPatch) -> N
     given = []
 
     def recovered(*arguments: object) -> Program:
-        given.append(arguments[-1])
-        return planned()[2]
+        effort = arguments[6]
+        assert isinstance(effort, Effort)
+        given.append(effort.most)
+        return replace(planned()[2], start=arguments[2])
 
-    monkeypatch.setattr("soma_bullet.control.executive.recover_program", recovered)
+    monkeypatch.setattr("soma_bullet.control.onward.recover_program", recovered)
     few = SearchOptions(lines=7)
     log = ran(planned()[2], world_of(planned()[2]), ExecutionOptions(together=False), search=few)
-    assert given == [few] * RECOVERIES
+    assert given == [few.lines] * RECOVERIES
     assert kinds(log).count("planned anew") == RECOVERIES and kinds(log).count("trouble") == RECOVERIES + 1
     assert log.ended.endswith("is made up")
 

@@ -21,8 +21,9 @@ from soma_bullet.grasp.hand_set import HandSet
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.planner.equilibrium import classify
 from soma_bullet.planner.options import PlannerOptions
-from soma_bullet.planner.plan import TURNS, make_plan
+from soma_bullet.planner.plan import make_plan
 from soma_bullet.planner.qualities import Qualities
+from soma_bullet.planner.remarks import TURNS
 from soma_bullet.records import read_json, write_json
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from itertools import islice
 
@@ -18,14 +18,14 @@ from soma_bullet.motion.timing import TimingError
 from soma_bullet.motion.transfer import TransferError
 from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.seeds import derived
+from soma_bullet.task.actions.action import Identity
 from soma_bullet.task.feed import Feed
-from soma_bullet.task.limits import USUAL, Effort
+from soma_bullet.task.limits import Effort
 from soma_bullet.task.program.builder import Made, MotionError, ProgramBuilder, guarded
 from soma_bullet.task.program.motions import plan_motion, scene_for, straight_motion, widths_along
 from soma_bullet.task.program.program import Program, moments, one_at_a_time
 from soma_bullet.task.refusal import Refusal
 from soma_bullet.task.search.scheduler import Scheduler
-from soma_bullet.task.search_options import SearchOptions
 from soma_bullet.task.segment import Segment
 from soma_bullet.task.state import CellState
 from soma_bullet.task.workcell import Workcell
@@ -93,13 +93,17 @@ def recover_program(
     seed: int,
     noise: tuple[float, float] = (0.0, 0.0),
     square: bool = True,
-    options: SearchOptions = USUAL,
+    effort: Effort | None = None,
+    avoid: Collection[Identity] = (),
+    cleared: Collection[str] = (),
 ) -> Program:
     """The rest of a plan from a state as found: arms and pieces wherever they are, perhaps some in hands.
 
     Args:
         noise, square: of the poses as found, as in `Feed`.
-        options: how long it is searched for.
+        effort: how long it may be searched for, and what has been spent of that.
+        avoid: insertions that are ruled out.
+        cleared: pieces that are laid down elsewhere before the first step, since they are in the way.
 
     Raises:
         NoSolutionError: with what decided, and what blocked, most frequent first.
@@ -107,7 +111,10 @@ def recover_program(
     names = workcell.assembly.names
     poses = readonly(np.array([start.poses[name] for name in names]))
     found = Feed(names, poses, 0, 0, seed, noise, square)
-    scheduler = Scheduler(workcell, plan, found, start, Effort.of(options))
+    steps = {step.piece: k for k, step in enumerate(plan.steps)}
+    moved = tuple(steps[name] for name in cleared)
+    scheduler = Scheduler(workcell, plan, found, start, effort or Effort(), cleared=moved)
+    scheduler.excluded.steps |= {(steps[str(identity[1])], identity, ()) for identity in avoid}
     return make_program(workcell, plan, found, seed, start=start, scheduler=scheduler)
 
 

@@ -49,6 +49,7 @@ class Scheduler:
         effort: what searches have done, of this order and of others.
         refusals: what was refused on the way.
         order_lines: of hands that may be made or checked for this order.
+        cleared: steps whose pieces are laid down elsewhere before the first step, since they are in the way.
     """
 
     def __init__(
@@ -59,10 +60,11 @@ class Scheduler:
         start: CellState | None = None,
         effort: Effort | None = None,
         refusals: Refusals | None = None,
+        cleared: tuple[int, ...] = (),
     ):
         self.workcell, self.plan, self.feed, self.start = workcell, plan, feed, start
         self.effort, self.refusals = effort or Effort(), refusals or Refusals()
-        self.order_lines = self.effort.for_order
+        self.order_lines, self.cleared = self.effort.for_order, cleared
         self.excluded = Excluded()
         self._judged = Holds(Qualities(workcell.assembly, workcell.cell.hands, plan.options))
         self._searches: dict[tuple[int, ...], Search | None] = {}
@@ -177,7 +179,11 @@ class Scheduler:
         wanted = tuple(k for k in helpless if not self._served(k))
         deepest = max((s.deepest for s in self._searches.values() if s is not None), default=0)
         blocked = tuple(k for k in helpless if k in wanted or k == deepest)
-        return next((steps for steps in (wanted, blocked, helpless, ()) if steps not in tried), None)
+        ways = (
+            (*self.cleared, *(k for k in steps if k not in self.cleared))
+            for steps in (wanted, blocked, helpless, ())
+        )
+        return next((steps for steps in ways if steps not in tried), None)
 
     def _helpless(self) -> tuple[int, ...]:
         """Steps whose piece is brought while another hand holds."""
