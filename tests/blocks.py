@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import manifold3d
 import numpy as np
@@ -81,3 +82,18 @@ def scaled(whole: Assembly, factor: float) -> Assembly:
     goals[:, :3, 3] *= factor
     support = replace(whole.support, height=whole.support.height * factor)
     return replace(whole, pieces=pieces, goals=readonly(goals), support=support)
+
+
+def write_two_blocks(folder: Path) -> str:
+    """The file of two blocks, one on the other."""
+    trimesh.creation.box((0.03, 0.03, 0.03)).export(folder / "block.stl")
+    piece = (
+        '[[piece]]\nname = "{}"\nmesh = "block.stl"\ngoal = '
+        "{{ position = [0, 0, {}], rpy_deg = [0, 0, 0] }}\n"
+    )
+    head = (
+        'name = "two"\nunit = "m"\n[support]\nheight = 0.0\nfriction = 0.5\n[defaults]\ndensity = 700.0\n'
+        "friction = 0.5\n"
+    )
+    (folder / "two.toml").write_text(head + piece.format("lower", 0.015) + piece.format("upper", 0.045))
+    return str(folder / "two.toml")

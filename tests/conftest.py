@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import HealthCheck, settings
+
+pytest.register_assert_rewrite("tests")  # so that helpers, too, say what they compared
 
 settings.register_profile(
     "house",

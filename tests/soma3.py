@@ -13,7 +13,7 @@ from soma_bullet.task.program.make import make_program
 from soma_bullet.task.program.overlap.loosen import overlapped
 from soma_bullet.task.program.program import Program
 from soma_bullet.task.workcell import Workcell
-from tests.feeds import APART, laid
+from tests.feeds import APART, CROWDED, laid
 
 
 @cache
@@ -30,3 +30,10 @@ def loosened() -> Program:
     """Both arms at once."""
     workcell, _, program = planned()
     return overlapped(workcell, program)
+
+
+@cache
+def handing_over() -> Program:
+    """Both arms at once; a piece is handed over."""
+    workcell, plan, _ = planned()
+    return overlapped(workcell, make_program(workcell, plan, laid(workcell, plan, CROWDED), 0))

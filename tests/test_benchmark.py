@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_evaluation import write_two_blocks
 
 from soma_bullet.assembly.file import load_assembly
 from soma_bullet.benchmark.episodes import episode
@@ -25,6 +24,7 @@ from soma_bullet.errors import InputError
 from soma_bullet.options import EpisodeOptions
 from soma_bullet.robot.cell import load_cell
 from soma_bullet.task.workcell import Workcell
+from tests.blocks import write_two_blocks
 
 
 @pytest.fixture(scope="module")

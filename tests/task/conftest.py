@@ -1,4 +1,5 @@
-"""The three-block task in the two-arm cell: plan, feed and program, made once for all tests of a process."""
+"""The three-block task in the two-arm cell: plan, feed, program and search, made once for all tests
+of a process."""
 
 from __future__ import annotations
 
@@ -9,6 +10,10 @@ from soma_bullet.planner.assembly_plan import AssemblyPlan
 from soma_bullet.robot.model import Cell
 from soma_bullet.task.feed import Feed
 from soma_bullet.task.program.program import Program
+from soma_bullet.task.schedule import Schedule
+from soma_bullet.task.search.scheduler import Scheduler
+from soma_bullet.task.search.search import Search
+from soma_bullet.task.state import CellState
 from soma_bullet.task.workcell import Workcell
 from tests import soma3 as task
 
@@ -46,3 +51,22 @@ def feed(program: Program) -> Feed:
 @pytest.fixture(scope="session")
 def loosened() -> Program:
     return task.loosened()
+
+
+@pytest.fixture
+def search(workcell: Workcell, plan: AssemblyPlan, feed: Feed) -> Search:
+    return Scheduler(workcell, plan, feed).feed_search
+
+
+@pytest.fixture(scope="session")
+def schedule(workcell: Workcell, plan: AssemblyPlan, feed: Feed) -> Schedule:
+    return Scheduler(workcell, plan, feed).find()
+
+
+@pytest.fixture(scope="session")
+def held(workcell: Workcell, feed: Feed, schedule: Schedule) -> CellState:
+    """The first piece stands, and is held."""
+    state = workcell.idle({name: feed.pose(name) for name in feed.names})
+    for action in schedule.assignments[0].actions:
+        state = action.effects(workcell, state)
+    return state.empty_handed(workcell.robot.home)

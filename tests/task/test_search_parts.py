@@ -1,9 +1,8 @@
-"""Parts of the search: which hands are clear of which, what stands, what is known already, what is ruled
-out."""
+"""Parts of the search: which hands are clear of which, what stands, and the order of the search."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -17,13 +16,8 @@ from soma_bullet.assembly.hulls import Hull, box_hull
 from soma_bullet.frames import inverse, translate
 from soma_bullet.grasp.clearance import MARGIN, OPENING, SUPPORT_MARGIN
 from soma_bullet.planner.assembly_plan import AssemblyPlan
-from soma_bullet.task.actions import insert, pick
-from soma_bullet.task.actions.action import Action
-from soma_bullet.task.actions.hand_over import HandOver
-from soma_bullet.task.actions.insert import Candidate
-from soma_bullet.task.actions.square import Square
+from soma_bullet.task.actions import insert
 from soma_bullet.task.feed import Feed
-from soma_bullet.task.kinds import LIFT
 from soma_bullet.task.lines import Spot
 from soma_bullet.task.schedule import Schedule
 from soma_bullet.task.search import changes
@@ -32,35 +26,9 @@ from soma_bullet.task.search.scheduler import Scheduler
 from soma_bullet.task.search.search import Search
 from soma_bullet.task.state import CellState
 from soma_bullet.task.workcell import Workcell
-from tests.feeds import APART, CROWDED, laid
 
 CLOSER = 0.006  # [m] by which a neighbour may lie nearer than it seems
 HOLDERS = 12  # hands that hold, one after another
-
-
-@pytest.fixture
-def search(workcell: Workcell, plan: AssemblyPlan, feed: Feed) -> Search:
-    return Scheduler(workcell, plan, feed).feed_search
-
-
-@pytest.fixture(scope="module")
-def schedule(workcell: Workcell, plan: AssemblyPlan, feed: Feed) -> Schedule:
-    return Scheduler(workcell, plan, feed).find()
-
-
-@pytest.fixture(scope="module")
-def held(workcell: Workcell, feed: Feed, schedule: Schedule) -> CellState:
-    """The first piece stands, and is held."""
-    state = workcell.idle({name: feed.pose(name) for name in feed.names})
-    for action in schedule.assignments[0].actions:
-        state = action.effects(workcell, state)
-    return state.empty_handed(workcell.robot.home)
-
-
-def fetch_of(search: Search, k: int, state: CellState) -> Fetch:
-    piece = search.plan.steps[k].piece
-    return Fetch(piece, search.planning.spots[piece], state)
-
 
 # --- hands and what is in their way -------------------------------------------------------------------------
 
@@ -188,191 +156,6 @@ def test_hands_let_go_before_or_after_another_takes_hold(go: list[str], taking: 
     assert all(sorted(order) == sorted(go) for order, _ in found)
     assert [order for order, after in found if after == 0][0] == go
     assert len({(tuple(order), after) for order, after in found}) == len(found)
-
-
-# --- what is known already ----------------------------------------------------------------------------------
-
-
-def both_arms(search: Search, k: int, found: Callable[[int, Fetch, int], bool]) -> int:
-    """A grasp of the piece of a step that `found` holds of for either arm."""
-    fetch = fetch_of(search, k, search.planning.empty(k))
-    return next(
-        int(g) for g in search.planning.allowed(k) if all(found(arm, fetch, int(g)) for arm in (0, 1))
-    )
-
-
-def test_each_arm_has_its_own_picks(search: Search, workcell: Workcell) -> None:
-    planning, fetch = search.planning, fetch_of(search, 0, search.planning.empty(0))
-    graph = planning.graph(fetch.piece)
-
-    def picked_by(arm: int, fetch: Fetch, g: int) -> bool:
-        return bool(pick.candidates(planning, fetch, fetch.source, arm, graph.grip(g)))
-
-    grip = graph.grip(both_arms(search, 0, picked_by))
-    for arm in (0, 1):
-        for approach, lift in pick.candidates(planning, fetch, fetch.source, arm, grip):
-            for line in (approach, lift):
-                np.testing.assert_allclose(
-                    workcell.robot.tcp(arm, line[0]), fetch.source.pose @ grip.T_piece_tcp, atol=1e-5
-                )
-        picked = pick.check(planning, fetch, fetch.source, arm, grip)
-        assert picked is not None and picked.arm == arm
-        assert pick.check(planning, fetch, fetch.source, arm, grip) is picked
-
-
-def test_each_arm_has_its_own_insertions(search: Search, workcell: Workcell) -> None:
-    planning, piece = search.planning, search.plan.steps[0].piece
-    graph = planning.graph(piece)
-    index = both_arms(
-        search, 0, lambda arm, _, g: bool(insert.candidates(planning, 0, Candidate(arm, graph.grip(g))))
-    )
-    grip = graph.grip(index)
-    for arm in (0, 1):
-        for line in insert.candidates(planning, 0, Candidate(arm, grip)):
-            np.testing.assert_allclose(
-                workcell.robot.tcp(arm, line[0]), workcell.settled[piece] @ grip.T_piece_tcp, atol=1e-5
-            )
-
-
-def test_a_pick_is_looked_at_anew_where_the_other_arm_is_elsewhere(
-    search: Search, workcell: Workcell, held: CellState
-) -> None:
-    """As if the hand that holds were at the piece that is to be picked."""
-    planning = search.planning
-    fetch = fetch_of(search, 1, held)
-    ((holder, piece),) = held.held.items()
-    arm, graph = 1 - holder, planning.graph(fetch.piece)
-    picked = next(
-        found
-        for g in planning.allowed(1)
-        if (found := pick.check(planning, fetch, fetch.source, arm, graph.grip(int(g)))) is not None
-    )
-    T = workcell.robot.tcp(arm, picked.q_pick)
-    in_the_way = workcell.robot.inverse(holder, T, held.qs[holder])
-    assert len(in_the_way)
-    elsewhere = replace(fetch, state=held.with_arm(holder, in_the_way[0]))
-    assert pick.check(planning, elsewhere, fetch.source, arm, graph.grip(picked.grasp)) is None
-    assert pick.check(planning, fetch, fetch.source, arm, graph.grip(picked.grasp)) is picked
-
-
-def test_a_pick_is_free_of_the_other_arm_on_both_of_its_lines(
-    search: Search, workcell: Workcell, held: CellState
-) -> None:
-    """Wherever that is; judged by the scenes of approach and lift."""
-    planning, rng = search.planning, np.random.default_rng(0)
-    ((holder, _),) = held.held.items()
-    fetch, arm = fetch_of(search, 1, held), 1 - holder
-    graph, robot = planning.graph(fetch.piece), workcell.robot
-    grips = [graph.grip(int(g)) for g in planning.allowed(1) if planning.clear_at(fetch, fetch.source)[g]]
-    usable = [g for g in grips if pick.candidates(planning, fetch, fetch.source, arm, g)][:4]
-    seen = {True: 0, False: 0}
-    for grip in usable:
-        lines = pick.candidates(planning, fetch, fetch.source, arm, grip)
-        lifted = robot.tcp(arm, lines[0][1][-1])
-        for _ in range(24):
-            near = translate(lifted, rng.normal(0.0, 0.12, 3) * (1.0, 1.0, 0.5))
-            there = robot.inverse(holder, near, held.qs[holder])
-            if not len(there):
-                continue
-            state = held.with_arm(holder, there[0])
-            at_piece = state.gripping(arm, fetch.piece)
-            carrying = at_piece.carrying(arm, inverse(grip.T_piece_tcp))
-            opened = planning.opened(fetch.piece, fetch.source, arm, grip)
-            scenes = (
-                workcell.scene(at_piece, arm),
-                workcell.scene(carrying, arm, LIFT.touching(workcell, fetch.piece)),
-            )
-            free = any(
-                not any(
-                    scene.collides(workcell.configuration(at_piece, arm, q, width))
-                    for scene, line, width in zip(scenes, branch, (opened, grip.width), strict=True)
-                    for q in line
-                )
-                for branch in lines
-            )
-            found = pick.check(planning, replace(fetch, state=state), fetch.source, arm, grip)
-            assert (found is not None) == free
-            seen[free] += 1
-    assert min(seen.values()) >= 5
-
-
-def test_what_lies_elsewhere_is_looked_at_anew(search: Search) -> None:
-    planning, state = search.planning, search.planning.empty(0)
-    piece, other = (step.piece for step in search.plan.steps[:2])
-    fetch = Fetch(piece, planning.spots[piece], state)
-    before = planning.clear_at(fetch, fetch.source)
-    upon = replace(fetch, state=state.moved(other, fetch.source.pose))
-    planning.forget()
-    assert (before & ~planning.clear_at(upon, fetch.source)).any()
-
-
-# --- what is ruled out --------------------------------------------------------------------------------------
-
-
-def blamed(which: str, schedule: Schedule) -> Action:
-    first = schedule.assignments[0]
-    bring = {"hand over": first.bring[-1], "first": first.bring[0]}
-    action = {"pick": first.pick, "insert": first.insert, **bring}[which]
-    assert action is not None
-    return action
-
-
-@pytest.mark.parametrize("which", ["pick", "insert"])
-def test_an_insertion_that_is_to_blame_is_ruled_out_however_the_piece_comes(
-    which: str, workcell: Workcell, plan: AssemblyPlan, feed: Feed
-) -> None:
-    scheduler = Scheduler(workcell, plan, feed)
-    found = scheduler.find()
-    first = found.assignments[0]
-    scheduler.rule_out(first, blamed(which, found))
-    placer = scheduler.feed_search.placer
-    assert placer.ruled_out(first) and placer.ruled_out(replace(first, bring=()))
-    grip = scheduler.feed_search.planning.graph(first.piece).grip(first.insert.grasp)
-    assert placer.refused(0, Candidate(first.arm, grip))
-    assert not placer.refused(1, Candidate(first.arm, grip))
-    assert not placer.refused(0, Candidate(1 - first.arm, grip))
-    again = scheduler.find().assignments[0]
-    assert again.insert.identity != first.insert.identity
-
-
-def test_an_insertion_that_is_to_blame_is_ruled_out_also_where_the_piece_was_handed_over(
-    workcell: Workcell, plan: AssemblyPlan
-) -> None:
-    scheduler = Scheduler(workcell, plan, laid(workcell, plan, CROWDED))
-    first = scheduler.find().assignments[0]
-    assert first.regrasps
-    scheduler.rule_out(first, first.insert)
-    placer = scheduler.feed_search.placer
-    assert placer.ruled_out(first) and placer.ruled_out(replace(first, bring=()))
-
-
-@pytest.mark.parametrize("which", ["hand over", "first"])
-def test_a_way_to_bring_a_piece_is_ruled_out_by_itself(
-    which: str, workcell: Workcell, plan: AssemblyPlan
-) -> None:
-    scheduler = Scheduler(workcell, plan, laid(workcell, plan, CROWDED))
-    found = scheduler.find()
-    first = found.assignments[0]
-    assert isinstance(first.bring[-1], HandOver)
-    scheduler.rule_out(first, blamed(which, found))
-    placer = scheduler.feed_search.placer
-    assert placer.ruled_out(first) and not placer.ruled_out(replace(first, bring=()))
-    grip = scheduler.feed_search.planning.graph(first.piece).grip(first.insert.grasp)
-    assert not placer.refused(0, Candidate(first.arm, grip))
-    again = scheduler.find().assignments[0]
-    assert [a.identity for a in again.bring] != [a.identity for a in first.bring]
-
-
-def test_a_squaring_is_ruled_out_by_itself(workcell: Workcell, plan: AssemblyPlan) -> None:
-    scheduler = Scheduler(workcell, plan, laid(workcell, plan, APART, (0.5, 0.5)))
-    first = scheduler.find().assignments[0]
-    square = first.bring[0]
-    assert isinstance(square, Square)
-    scheduler.rule_out(first, square)
-    assert scheduler.excluded.actions == {square.identity} and not scheduler.excluded.steps
-    again = scheduler.find().assignments[0]
-    assert again.insert.identity == first.insert.identity
-    assert square.identity not in [action.identity for action in again.bring]
 
 
 # --- the order of the search --------------------------------------------------------------------------------

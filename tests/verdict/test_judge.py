@@ -1,4 +1,5 @@
-"""The judge on logs made by hand: each number is what was put in, and only what must be reported is."""
+"""The judge on logs made by hand: where a piece is, what touched what, limits and the end. Each number is
+what was put in, and only what must be reported is."""
 
 from __future__ import annotations
 
@@ -7,106 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from soma_bullet.assembly.file import load_assembly
 from soma_bullet.assembly.model import Assembly
-from soma_bullet.frames import Array, apply, make_transform, rotation_about, to_quat_xyzw
-from soma_bullet.robot.cell import load_cell
+from soma_bullet.frames import apply, make_transform, rotation_about
 from soma_bullet.robot.model import Cell
-from soma_bullet.verdict.judge import Judgement, judge
-from soma_bullet.verdict.options import Tolerance
-from soma_bullet.world.log import ExecutionLog, SegmentRecord
-
-T_WORLD_ASSEMBLY = make_transform(translation=(0.0, 0.0, 0.1))
-# kind, arm, piece; one second each. The right hand brings Z and holds it until the left one has brought BigL.
-EPISODE = (
-    *(
-        (kind, "right", "Z")
-        for kind in ("approach", "grasp", "lift", "transfer", "insert", "place", "settle")
-    ),
-    *(
-        (kind, "left", "BigL")
-        for kind in ("approach", "grasp", "lift", "transfer", "insert", "place", "settle")
-    ),
-    ("release", "right", "Z"),
-    ("retreat", "right", "Z"),
-    ("release", "left", "BigL"),
-    ("retreat", "left", "BigL"),
-    ("final", "", ""),
-)
-
-
-@pytest.fixture(scope="module")
-def assembly() -> Assembly:
-    return load_assembly("soma3")
-
-
-@pytest.fixture(scope="module")
-def cell() -> Cell:
-    return load_cell("ur5e_pair")
-
-
-@pytest.fixture(scope="module")
-def good(assembly: Assembly, cell: Cell) -> ExecutionLog:
-    """Pieces at their goals all along, a sample every half second."""
-    none = np.zeros(3)
-    segments = tuple(
-        SegmentRecord(
-            kind, 0 if piece == "Z" else 1, arm, piece, float(k), k + 1.0, "as planned", none, 0.0, 0.0
-        )
-        for k, (kind, arm, piece) in enumerate(EPISODE)
-    )
-    times = np.arange(0.0, len(EPISODE) + 0.1, 0.5)
-    rows = [np.concatenate(to_quat_xyzw(T_WORLD_ASSEMBLY @ goal)) for goal in assembly.goals]
-    names = (*cell.joint_names, *(finger for arm in cell.arms for finger in arm.finger_joints))
-    links = tuple(
-        link
-        for arm in cell.arms
-        for link in (arm.prefixed("forearm_link"), arm.prefixed("palm"), *arm.finger_links)
-    )
-    return ExecutionLog(
-        cell=cell.name,
-        assembly=assembly.name,
-        digest=assembly.digest,
-        seed=0,
-        order=("Z", "BigL", "smallL"),
-        stand=(0.03, 0.03),
-        T_world_assembly=T_WORLD_ASSEMBLY,
-        joint_names=names,
-        target_names=cell.joint_names,
-        arm_names=tuple(arm.name for arm in cell.arms),
-        piece_names=assembly.names,
-        times=times,
-        joints=np.tile([*cell.q_home, 0.0, 0.0, 0.0, 0.0], (len(times), 1)),
-        targets=np.zeros((len(times), 12)),
-        poses=np.tile(rows, (len(times), 1, 1)),
-        tcps=np.tile([0.0, 0.0, 0.3, 0.0, 0.0, 0.0, 1.0], (len(times), 2, 1)),
-        wrenches=np.zeros((len(times), 2, 6)),
-        grips=np.full((len(times), 2), 20.0),
-        contacts=np.zeros((0, 5)),
-        bodies=(*links, "table", "stand", *assembly.names),
-        segments=segments,
-        events=(),
-        constraints=(),
-        ended="done",
-    )
-
-
-def moved(log: ExecutionLog, piece: str, T: Array, start: float = -1.0, end: float = np.inf) -> ExecutionLog:
-    """A piece moved by T (4, 4), in the world, in the samples of a time span [s]."""
-    poses, k = log.poses.copy(), log.piece_names.index(piece)
-    for i in log.between(start, end):
-        poses[i, k] = np.concatenate(to_quat_xyzw(T @ log.piece_pose(int(i), piece)))
-    return replace(log, poses=poses)
-
-
-def touched(log: ExecutionLog, a: str, b: str, time: float, force: float = 3.0) -> ExecutionLog:
-    """With one more contact at a time [s]."""
-    row = [int(np.argmin(np.abs(log.times - time))), log.bodies.index(a), log.bodies.index(b), force, -1e-5]
-    return replace(log, contacts=np.vstack([log.contacts, row]))
-
-
-def verdict(log: ExecutionLog, assembly: Assembly, cell: Cell) -> Judgement:
-    return judge(log, assembly, cell, Tolerance())
+from soma_bullet.world.log import ExecutionLog
+from tests.verdict.logs import EPISODE, T_WORLD_ASSEMBLY, moved, touched, verdict
 
 
 def test_a_good_episode_is_a_success(good: ExecutionLog, assembly: Assembly, cell: Cell) -> None:
@@ -236,100 +142,6 @@ def test_a_piece_on_the_table_after_its_lift_was_dropped(
     found = verdict(touched(good, "Z", "table", 4.5), assembly, cell)
     assert found.dropped == ("Z",)
     assert found.causes == ("Z was dropped",)
-
-
-# --- grasps and holds ---------------------------------------------------------------------------------------
-
-
-def test_slip_in_a_grasp(good: ExecutionLog, assembly: Assembly, cell: Cell) -> None:
-    slid = moved(good, "Z", make_transform(translation=(0.0, 0.0, -0.0007)), start=4.5)
-    slips = {s.piece: s for s in verdict(slid, assembly, cell).slips}
-    assert slips["Z"].slip_mm == pytest.approx(0.7)
-    assert slips["BigL"].slip_mm == 0.0
-
-
-def test_a_piece_that_moves_with_its_hand_does_not_slip(
-    good: ExecutionLog, assembly: Assembly, cell: Cell
-) -> None:
-    motion = make_transform(rotation_about((0, 0, 1), 0.3), (0.1, -0.2, 0.05))
-    tcps, k = good.tcps.copy(), good.arm_names.index("right")
-    for i in good.between(3.0, 4.0):
-        tcps[i, k] = np.concatenate(to_quat_xyzw(motion @ good.tcp_pose(int(i), "right")))
-    slips = {
-        s.piece: s
-        for s in verdict(moved(replace(good, tcps=tcps), "Z", motion, 3.0, 4.0), assembly, cell).slips
-    }
-    assert slips["Z"].slip_mm == pytest.approx(0.0, abs=1e-9)
-    assert slips["Z"].slip_deg == pytest.approx(0.0, abs=1e-5)
-
-
-def test_drift_in_a_hold(good: ExecutionLog, assembly: Assembly, cell: Cell) -> None:
-    grips = good.grips.copy()
-    grips[good.between(9.0, 9.0), good.arm_names.index("right")] = 17.0
-    drifted = moved(
-        replace(good, grips=grips), "Z", make_transform(translation=(0.0004, 0.0, 0.0003)), start=10.0
-    )
-    holds = {(h.piece, h.arm): h for h in verdict(drifted, assembly, cell).holds}
-    hold = holds["Z", "right"]
-    assert hold.drift_mm == pytest.approx(0.5)
-    assert (hold.seconds, hold.grip_n) == pytest.approx((7.0, 17.0))
-
-
-def test_a_hand_that_lets_go_at_once_does_not_hold(
-    good: ExecutionLog, assembly: Assembly, cell: Cell
-) -> None:
-    kept = tuple(s for s in good.segments if (s.arm, s.kind) != ("right", "release") or s.piece != "Z")
-    early = replace(
-        next(s for s in good.segments if (s.kind, s.piece) == ("release", "Z")), start=7.0, end=7.4
-    )
-    found = verdict(replace(good, segments=(*kept, early)), assembly, cell)
-    assert "Z" not in {h.piece for h in found.holds}
-
-
-def test_insertions_are_reported(good: ExecutionLog, assembly: Assembly, cell: Cell) -> None:
-    segments = tuple(
-        replace(s, outcome="stopped early", peak_force=1.5, remaining=0.0003)
-        if (s.kind, s.piece) == ("place", "BigL")
-        else s
-        for s in good.segments
-    )
-    found = verdict(replace(good, segments=segments), assembly, cell).insertions
-    assert [(i.piece, i.arm, i.peak_n, i.outcome) for i in found] == [
-        ("Z", "right", 0.0, "as planned"), ("BigL", "left", 1.5, "stopped early"),
-    ]  # fmt: skip
-    assert found[1].remaining_mm == pytest.approx(0.3)
-
-
-def test_how_an_insertion_ended_is_measured_on_the_piece(
-    good: ExecutionLog, assembly: Assembly, cell: Cell
-) -> None:
-    """BigL comes down along -z and stops 1 mm short and 0.5 mm aside; Z, in place before, is pushed by 0.3 mm
-    and back."""
-    (place,) = (s for s in good.segments if (s.kind, s.piece) == ("place", "BigL"))
-    segments = tuple(
-        replace(s, offset=np.array((0.0, 0.0, -0.01))) if s is place else s for s in good.segments
-    )
-    log = moved(
-        replace(good, segments=segments),
-        "BigL",
-        make_transform(translation=(5e-4, 0.0, 1e-3)),
-        place.end,
-        place.end,
-    )
-    log = moved(log, "Z", make_transform(translation=(0.0, 3e-4, 0.0)), place.start + 0.5, place.start + 0.5)
-    z, big = verdict(log, assembly, cell).insertions
-    assert (big.along_mm, big.across_mm) == pytest.approx((-1.0, 0.5))
-    assert big.neighbours_mm == pytest.approx(0.3) and z.neighbours_mm == 0.0
-    assert big.went_in and z.went_in
-    jammed = tuple(
-        replace(s, outcome="jammed") if (s.kind, s.piece) == ("place", "BigL") else s for s in log.segments
-    )
-    assert [i.went_in for i in verdict(replace(log, segments=jammed), assembly, cell).insertions] == [
-        True,
-        False,
-    ]
-    far = moved(log, "BigL", make_transform(translation=(0.0, 0.0, 2e-3)), place.end, place.end)
-    assert [i.went_in for i in verdict(far, assembly, cell).insertions] == [True, False]
 
 
 # --- limits and the end -------------------------------------------------------------------------------------
