@@ -128,7 +128,7 @@ def test_the_options_of_a_search_bound_programs_and_recoveries(
         make_program(workcell.assembly, workcell.cell, plan, EpisodeOptions(search=few))
     start = workcell.idle({name: feed.pose(name) for name in feed.names})
     with pytest.raises(NoSolutionError, match=r"within 3 lines of hands \(--search.lines\)"):
-        recover_program(workcell, plan, start, 0, options=few)
+        recover_program(workcell, plan, start, 0, effort=Effort.of(few))
 
 
 def test_a_scheduler_takes_its_limits_from_the_options(
