@@ -14,6 +14,7 @@ from cattrs import Converter
 from cattrs.errors import BaseValidationError, ClassValidationError, ForbiddenExtraKeysError
 from scipy.spatial.transform import Rotation
 
+from soma_bullet.assembly.model import Advice
 from soma_bullet.frames import Array, make_transform
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}  # [m]
@@ -77,6 +78,7 @@ class FileEntry:
     unit: str
     support: SupportEntry = field(default_factory=SupportEntry)
     defaults: DefaultsEntry = field(default_factory=DefaultsEntry)
+    planner: Advice = field(default_factory=Advice)
 
     def of_every_piece(self, number: int) -> dict[str, Any]:
         """What the piece of that number has where it does not say otherwise."""
@@ -198,6 +200,10 @@ def parse_entries(raw: Mapping[str, Any], faults: list[str]) -> tuple[FileEntry 
     if head is not None:
         faults += _name_faults("the file", head.name)
         faults += _value_faults("[support]", friction=head.support.friction)
+        for key in ("push", "disturbance"):
+            value = getattr(head.planner, key)
+            if value is not None and value < 0.0:
+                faults.append(f"[planner]: {key} = {value:g} must not be negative")
         faults += _value_faults("[defaults]", **{key: getattr(head.defaults, key) for key in VALUES})
     names = [table.get("name") for table in tables]
     for name in dict.fromkeys(name for name in names if isinstance(name, str) and names.count(name) > 1):

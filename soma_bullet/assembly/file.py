@@ -13,10 +13,16 @@
     clearance = 0.1        # by how much every face of the real piece stands back from its mesh
     chamfer = 0.0          # by how much the edges of the real piece are cut, along both of their faces
 
-    [[piece]]              # one for each; mesh_unit, color, density, friction, clearance and chamfer are
-    optional name = "Z" mesh = "Z.obj"         # obj, stl, ply or glb; relative to this file mesh_unit = "mm"
-    # where it is not the file's unit color = "#f2c14e"      # or [0.95, 0.76, 0.31] goal = { position = [0.0,
-    -18.5, 27.75], rpy_deg = [0.0, -90.0, 0.0] }   # or quat_wxyz = [1.0, 0.0, 0.0, 0.0]
+    [planner]              # optional, as are its keys: how it is planned where nobody asks otherwise
+    push = 1.0             # N; as --push, --disturbance, --stability and --analyzer
+    analyzers = ["grounded"]
+
+    [[piece]]              # one for each; mesh_unit, color, density, friction, clearance, chamfer: optional
+    name = "Z"
+    mesh = "Z.obj"         # obj, stl, ply or glb; relative to this file
+    mesh_unit = "mm"       # where it is not the file's unit
+    color = "#f2c14e"      # or [0.95, 0.76, 0.31]
+    goal = { position = [0.0, -18.5, 27.75], rpy_deg = [0.0, -90.0, 0.0] }   # or quat_wxyz = [...]
 
 `rpy_deg` turns about the fixed axes x, then y, then z (as in URDF). A goal is the nominal pose, at which
 faces that touch coincide: the gaps come from the clearances. All faults of a file are reported at once."""
@@ -34,7 +40,7 @@ from typing import Any
 from soma_bullet.assembly.checks import goal_faults, piece_faults
 from soma_bullet.assembly.entries import UNITS, Faults, PieceEntry, goal_pose, parse_entries
 from soma_bullet.assembly.mesh_file import read_mesh
-from soma_bullet.assembly.model import Assembly, Support
+from soma_bullet.assembly.model import Advice, Assembly, Support
 from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.errors import InputError
 from soma_bullet.frames import readonly
@@ -61,12 +67,15 @@ def load_assembly(path_or_name: str | Path) -> Assembly:
             said = {key: value for key, value in asdict(entry).items() if key != "chamfer" or value}
             hashes.append(said | {"mesh": loaded[1]})
     content = {"name": head.name, "unit": head.unit, "support": asdict(head.support), "pieces": hashes}
+    if head.planner != Advice():
+        content["planner"] = asdict(head.planner)
     assembly = Assembly(
         name=head.name,
         pieces=tuple(pieces),
         goals=readonly(goals).reshape(-1, 4, 4),
         support=Support(head.support.height * UNITS[head.unit], head.support.friction),
         digest=hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest(),
+        advice=head.planner,
     )
     # where a piece is missing, its neighbours would seem to float
     faults += goal_faults(assembly, whole=not faults)

@@ -31,6 +31,21 @@ class Support:
     friction: float = 0.5
 
 
+@dataclass(frozen=True)
+class Advice:
+    """How an assembly asks to be planned, where nobody asks otherwise.
+
+    Attributes:
+        push: of the next insertion, that a hold must resist [N]; disturbance: the same sideways [g].
+        stability, analyzers: what judges states, and steps beside the usual.
+    """
+
+    push: float | None = None
+    disturbance: float | None = None
+    stability: str | None = None
+    analyzers: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class Assembly:
     """What to build.
@@ -41,6 +56,7 @@ class Assembly:
         goals: Ts_assembly_piece (n, 4, 4), the nominal final poses.
         support: what they stand on.
         digest: hash of everything that decides a plan (the file's content and the meshes').
+        advice: how it asks to be planned.
     """
 
     name: str
@@ -48,6 +64,7 @@ class Assembly:
     goals: Array
     support: Support
     digest: str = ""
+    advice: Advice = Advice()
 
     @property
     def names(self) -> tuple[str, ...]:

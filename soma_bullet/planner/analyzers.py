@@ -1,12 +1,17 @@
 """The analyzers: what judges a state of the assembly, or the insertion of one piece, each behind one
 function.
 
-An analyzer of your own is a function with one of the two signatures, in any module that can be imported; it
-is named as `module:function`. It sees the same `Qualities` as those of the planner and may build on them.
+An analyzer of your own is a function with one of the two signatures, in a module beside you or in any other
+that can be imported; it is named as `module:function`. It sees the same `Qualities` as those of the planner
+and may build on them.
 
-    def reach(qualities, placed, piece):            # a step: how well `piece` goes into the placed set height
-        = qualities.assembly.goal_centres[piece][2] return Judgement(1.0) if height < 0.4 else Judgement(0.0,
-        f"its goal is {height:.2f} m up, the arm reaches 0.40 m")
+    from soma_bullet.planner.analyzers import Judgement
+
+    def reach(qualities, placed, piece):  # a step: how well `piece` goes into the placed set
+        height = qualities.assembly.goal_centres[piece][2]
+        if height < 0.4:
+            return Judgement(1.0)
+        return Judgement(0.0, f"its goal is {height:.2f} m up, the arm reaches 0.40 m")
 
 A quality of 0 rules the step or the state out, and its reason is reported; every other enters the score by
 its minimum over the order (paper Sec. IV-G)."""
@@ -14,8 +19,12 @@ its minimum over the order (paper Sec. IV-G)."""
 from __future__ import annotations
 
 import importlib
+import sys
+import traceback
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from soma_bullet.errors import InputError
@@ -128,12 +137,33 @@ def _found(name: str, known: dict[str, Any], option: str) -> Any:
             f"--{option}",
             f"{name!r} is not known; there are {', '.join(known)}, and your own as module:function",
         )
+    if not module or not function:
+        raise InputError(f"--{option}", f"{name!r}: must be module:function")
+    if "" not in sys.path:
+        sys.path.insert(0, "")  # a module beside the user
     try:
         found = getattr(importlib.import_module(module), function)
     except ImportError as error:
         raise InputError(f"--{option}", f"{name!r}: module {module!r} cannot be imported: {error}") from error
     except AttributeError:
         raise InputError(f"--{option}", f"{name!r}: module {module!r} has no {function!r}") from None
+    except Exception as error:  # whatever the module does when it is imported
+        raise InputError(f"--{option}", f"{name!r}: module {module!r} cannot be imported: {error}") from error
     if not callable(found):
         raise InputError(f"--{option}", f"{name!r} is no function")
-    return found
+    return partial(_judged, f"--{option} {name}", found)
+
+
+def _judged(name: str, analyse: Callable[..., Any], qualities: Qualities, *state: Any) -> Judgement:
+    """What an analyzer of the user's own says, if it says something. Raises InputError."""
+    try:
+        found = analyse(qualities, *state)
+    except Exception as error:
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        what = f"raised {type(error).__name__}: {error} ({Path(where.filename).name}:{where.lineno})"
+        raise InputError(name, what) from error
+    if not isinstance(found, Judgement):
+        raise InputError(name, f"returned {found!r}; it must return a Judgement")
+    if not found.quality >= 0.0:
+        raise InputError(name, f"returned a quality of {found.quality}; it must be a number from 0 on")
+    return found if found.reason or found.stands else replace(found, reason=f"{name} says 0")

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
+from soma_bullet.assembly.model import Advice
 from soma_bullet.grasp.options import SamplingOptions
 from soma_bullet.option import NOT_NEGATIVE, SEED, Options, Range
 
@@ -58,6 +59,21 @@ class PlannerOptions(Options):
     def hand_count(self) -> int:
         """Hands of the robot."""
         return HANDS if self.hands is None else self.hands
+
+    def advised(self, advice: Advice) -> PlannerOptions:
+        """The same with what an assembly asks for, where these options have their defaults."""
+        usual, load = PlannerOptions(), self.load
+        if advice.push is not None and load.push == usual.load.push:
+            load = replace(load, push=advice.push)
+        if advice.disturbance is not None and load.disturbance == usual.load.disturbance:
+            load = replace(load, disturbance=advice.disturbance)
+        stability = advice.stability if self.stability == usual.stability else None
+        return replace(
+            self,
+            load=load,
+            stability=stability or self.stability,
+            analyzers=self.analyzers or advice.analyzers,
+        )
 
     def with_hands(self, count: int = HANDS) -> PlannerOptions:
         """The same with a number of hands: `count` where none is given."""

@@ -218,7 +218,9 @@ class Orders:
             values = tuple(judgement.quality for judgement in judged.values())
             if AIR in self.rules and not self.paper:
                 judged = judged | {"grounded": grounded(self.q, placed, piece)}
-            fault = next((name for name, judgement in judged.items() if not judgement.stands), "")
+            # that there is no way in comes before that no hand brings it
+            ranked = sorted(judged, key=lambda name: name != "assemblability")
+            fault = next((name for name in ranked if not judged[name].stands), "")
             self._cells[placed, piece] = _Cell(
                 values=values,
                 type=way.type,

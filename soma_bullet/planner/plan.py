@@ -69,7 +69,7 @@ def make_plan(
         InputError: the finished assembly cannot stand, or an analyzer is not known.
         NoPlanError: no order is feasible; carries what blocked, most frequent first.
     """
-    options = (options or PlannerOptions()).with_hands()
+    options = (options or PlannerOptions()).with_hands().advised(assembly.advice)
     options.check()
     qualities = qualities or Qualities(assembly, hands, options)
     _check_final(assembly, Orders(qualities))

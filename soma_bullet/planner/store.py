@@ -46,7 +46,7 @@ def kept_plan(
     Raises:
         InputError, NoPlanError: as `make_plan`.
     """
-    options = (options or PlannerOptions()).with_hands()
+    options = (options or PlannerOptions()).with_hands().advised(assembly.advice)
     own = any(":" in name for name in (options.stability, *options.analyzers))
     if own or not assembly.digest:
         return make_plan(assembly, hands, options, excluded)
