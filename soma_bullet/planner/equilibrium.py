@@ -25,7 +25,8 @@ from soma_bullet.frames import Array, tangents
 from soma_bullet.planner.programs import LARGEST, PushRegion
 
 Sides = Literal["settled", "dropped", "frictionless", "friction"]
-Verdict = Literal["robust", "clearance-dependent", "unstable"]
+Verdict = Literal["robust", "fragile", "clearance-dependent", "unstable"]
+FIRM = ("robust", "fragile")  # verdicts of states that need no side contacts
 
 SIDE = 0.1  # |n_z| below this is a side contact
 PYRAMID = 12  # sides of the friction pyramid; its radius is the mean of inscribed and circumscribed
@@ -43,8 +44,9 @@ class StateStability:
     """Stability of a placed set.
 
     Attributes:
-        verdict: robust without side contacts, clearance-dependent where it takes frictionless side contacts,
-            or contacts that the fit clearance leaves open, else unstable.
+        verdict: robust without side contacts; fragile, where it resists less than is done to it;
+            clearance-dependent where it takes frictionless side contacts, or contacts that the fit clearance
+            leaves open; else unstable.
         margin: horizontal acceleration resisted without side contacts [g].
         margin_sides: ... with frictionless side contacts [g].
     """
@@ -57,7 +59,7 @@ class StateStability:
     def quality(self) -> float:
         """The S that enters the score: robust up to 1 g; every clearance-dependent value lies below every
         robust one."""
-        if self.verdict == "robust":
+        if self.verdict in FIRM:
             return min(self.margin, 1.0)
         if self.verdict == "clearance-dependent":
             return min(0.1 * self.margin_sides, TIE)
@@ -65,19 +67,28 @@ class StateStability:
 
 
 def classify(
-    assembly: Assembly, placed: frozenset[int], held: frozenset[int] = frozenset()
+    assembly: Assembly, placed: frozenset[int], held: frozenset[int] = frozenset(), least: float = 0.0
 ) -> StateStability:
     """Stability of the placed set with some pieces held, each a fixed body whose hand never pushes others
-    down."""
+    down.
+
+    Args:
+        least: what is done to a state sideways [g]: one that resists less is fragile.
+    """
     # rounded: the solver's last digits must not choose between states that are equal
     margin = round(equilibrium_margin(assembly, placed, held, "dropped"), 9)
     sides = margin if margin > TIE else round(equilibrium_margin(assembly, placed, held, "frictionless"), 9)
     if TIE < margin <= LEAN * _widest_opening(assembly, placed):
         robust = equilibrium_margin(assembly, placed, held, "settled") > TIE
         sides = margin if robust else round(equilibrium_margin(assembly, placed, held, "frictionless"), 9)
-        return StateStability("robust" if robust else "clearance-dependent", margin, sides)
-    verdict: Verdict = "robust" if margin > TIE else "clearance-dependent" if sides > TIE else "unstable"
-    return StateStability(verdict, margin, sides)
+        return StateStability(_firm(margin, least) if robust else "clearance-dependent", margin, sides)
+    if margin > TIE:
+        return StateStability(_firm(margin, least), margin, sides)
+    return StateStability("clearance-dependent" if sides > TIE else "unstable", margin, sides)
+
+
+def _firm(margin: float, least: float) -> Verdict:
+    return "robust" if margin >= least else "fragile"
 
 
 def equilibrium_margin(

@@ -21,13 +21,13 @@ from soma_bullet.planner.assembly_plan import (
     PlanStep,
 )
 from soma_bullet.planner.assist import SMALLEST_MARGIN, HoldCertificate, certify_hold
-from soma_bullet.planner.equilibrium import TIE
+from soma_bullet.planner.equilibrium import FIRM, TIE
 from soma_bullet.planner.holds import AIR, PUSH, RULES
 from soma_bullet.planner.options import PAPER, PlannerOptions
 from soma_bullet.planner.orders import MOST_ENUMERATED, OrderRow, Orders, rounded
 from soma_bullet.planner.programs import LARGEST
 from soma_bullet.planner.qualities import NOTHING, Placed, Qualities
-from soma_bullet.planner.remarks import approximations, false_stable, hanging, pressed, sensitivity
+from soma_bullet.planner.remarks import approximations, false_stable, fragile, hanging, pressed, sensitivity
 from soma_bullet.planner.search import follow
 from soma_bullet.planner.ways import way_length
 from soma_bullet.records import package_versions
@@ -142,6 +142,7 @@ def _plan(
             *approximations(assembly),
             *hanging(orders, chosen),
             *pressed(planned[0].steps, orders.paper),
+            *fragile(planned[0].steps, options.load.disturbance),
             *(false_stable(orders, ranked) if orders.paper else ()),
         ),
         passed_over=(*refusals, *passed_over),
@@ -287,7 +288,7 @@ def _hold(
             certificate = certify_hold(
                 assembly, qualities.hands.kinds[table.kinds[index]], placed, piece,
                 assembly.goals[piece] @ table.Ts_piece_tcp[index],
-                "dropped" if verdict == "robust" else "frictionless", upcoming, direction,
+                "dropped" if verdict in FIRM else "frictionless", upcoming, direction,
                 load, float(table.contact[index]),
             )  # fmt: skip
             if best is None or certificate.margin > best[0].margin:

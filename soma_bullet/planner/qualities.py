@@ -76,7 +76,9 @@ class Qualities:
         """Equilibrium of the placed set with some pieces held."""
         key = (placed, held & placed)
         if key not in self._stability:
-            self._stability[key] = classify(self.assembly, placed, held & placed)
+            self._stability[key] = classify(
+                self.assembly, placed, held & placed, self.options.load.disturbance
+            )
         return self._stability[key]
 
     def grasps(self, piece: int) -> GraspSet:

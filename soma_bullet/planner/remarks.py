@@ -38,6 +38,16 @@ def pressed(steps: tuple[PlanStep, ...], paper: bool) -> list[str]:
     ]
 
 
+def fragile(steps: tuple[PlanStep, ...], least: float) -> list[str]:
+    """States that stand and resist less than is done to them."""
+    return [
+        f"after {step.piece} the state is fragile: it resists {step.margin:.3f} g sideways, and {least:g} g "
+        "(--disturbance) is reckoned with"
+        for step in steps
+        if step.verdict == "fragile"
+    ]
+
+
 def approximations(assembly: Assembly) -> list[str]:
     """Pieces whose collision parts are not exact."""
     return [

@@ -10,6 +10,7 @@ from rich.markup import escape
 from rich.tree import Tree
 
 from soma_bullet.planner.assembly_plan import AssemblyPlan, Hold, PlannedOrder, PlanStep
+from soma_bullet.planner.equilibrium import FIRM
 from soma_bullet.planner.orders import OrderRow
 from soma_bullet.planner.programs import LARGEST
 from soma_bullet.report.table import number
@@ -98,7 +99,7 @@ def _insertion(step: PlanStep) -> str:
 
 
 def _margin(step: PlanStep) -> str:
-    if step.verdict == "robust":
+    if step.verdict in FIRM:
         return f"{step.margin:.3f} g sideways"
     return f"{step.margin:.3f} g sideways, and {step.margin_sides:.3f} g with the help of side contacts"
 

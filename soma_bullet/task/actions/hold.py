@@ -13,6 +13,7 @@ from soma_bullet.grasp.clearance import OPENING
 from soma_bullet.grasp.graph import Grip
 from soma_bullet.planner.assembly_plan import Hold as PlannedHold
 from soma_bullet.planner.assist import SMALLEST_MARGIN, HoldCertificate, certify_hold
+from soma_bullet.planner.equilibrium import FIRM
 from soma_bullet.task.actions.action import Action, Identity, Steps
 from soma_bullet.task.actions.pick import close
 from soma_bullet.task.lines import Mover
@@ -79,7 +80,7 @@ def certificate(planning: Planning, k: int, piece: str, arm: int, grip: Grip) ->
             placed,
             held,
             assembly.goals[held] @ grip.T_piece_tcp,
-            "dropped" if steps[k].verdict == "robust" else "frictionless",
+            "dropped" if steps[k].verdict in FIRM else "frictionless",
             None if following is None else assembly.index(following.piece),
             None if following is None else np.array(following.direction),
             planning.plan.options.load,
