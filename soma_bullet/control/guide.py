@@ -28,6 +28,12 @@ def scaled(compliance: Compliance, scale: float) -> Compliance:
     return replace(compliance, **{name: scale * getattr(compliance, name) for name in names})
 
 
+def gentle(compliance: Compliance, share: float) -> Compliance:
+    """How a hand yields that may press with a share of the usual only."""
+    names = ("press", "search", "limit")
+    return replace(compliance, **{name: share * getattr(compliance, name) for name in names})
+
+
 class Guide:
     """Where one insertion has got to: how far aside the hand is, and how fast it may go on.
 

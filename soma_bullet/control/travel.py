@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from soma_bullet.control.guide import Guide, scaled
+from soma_bullet.control.guide import Guide, gentle, scaled
 from soma_bullet.control.options import Compliance
 from soma_bullet.frames import Array
 from soma_bullet.sizes import Sizes
@@ -143,6 +143,7 @@ class Travel:
         A piece that comes in at a slant, or level, stays a little above its path and comes down straight at
         the end: it then meets what carries it without pushing it aside. Where something should be met at the
         end, the hand goes on until it is."""
+        compliance = gentle(compliance, min(1.0, segment.guard / self.sizes.guard))
         path, length = segment.path, float(np.linalg.norm(segment.offset))
         along, raised = segment.offset / length, segment.raised
 

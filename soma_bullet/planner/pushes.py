@@ -1,9 +1,9 @@
 """What an insertion does to the pieces that are placed already, and what these can bear.
 
-A piece that comes in presses on what it meets along its direction, and rubs along what it slides by. Placed
-pieces that no hand holds stay where they are by their weight and friction alone. The question is the one of
-a hold's certificate, asked of every insertion: with how much force may the piece press before the rest
-moves?"""
+A piece that comes in presses on what it meets along its direction, may catch at the rim of what it has to get
+in between, and rubs along what it slides by. Placed pieces that no hand holds stay where they are by their
+weight and friction alone. The question is the one of a hold's certificate, asked of every insertion: with how
+much force may the piece press before the rest moves?"""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from soma_bullet.planner.options import HoldLoad
 from soma_bullet.planner.programs import LARGEST, RayProgram
 
 Placed = frozenset[int]
+OPPOSITE = 0.98  # cosine from which two contacts face each other
 MEETS = 0.1  # an insertion meets a contact head on where the direction has so much of the contact's normal
 
 
@@ -63,16 +64,24 @@ class Pushes:
 
     def _bearing(self, placed: Placed, held: Placed, upcoming: int, direction: Array) -> Bearing:
         found = Bearing(LARGEST, LARGEST)
-        for contact in self.assembly.contacts_of(upcoming, placed):
+        contacts = self.assembly.contacts_of(upcoming, placed)
+        beside = [c for c in contacts if abs(float(c.normal @ direction)) <= MEETS]
+        for contact in contacts:
             if contact.body_a == SUPPORT or contact.body_a in held:
                 continue
             facing = float(contact.normal @ direction)
             if facing < -MEETS:
-                force = self._farthest(placed, held, contact, facing * contact.normal)
+                push = facing * contact.normal
+            elif any(float(contact.normal @ other.normal) < -OPPOSITE for other in beside):
+                push = direction  # it has to get in between, and may catch at the rim
+            else:
+                push = np.zeros(3)
+            if push.any():
+                force = self._farthest(placed, held, contact, push)
                 found = Bearing(
                     min(found.force, force), *_smaller(found, force / self.needed, contact.body_a, False)
                 )
-            elif facing <= MEETS:
+            if abs(facing) <= MEETS:
                 rub = friction_of(contact, self.assembly) * direction
                 if contact.normal[2] > SIDE:
                     rub = rub - contact.normal
