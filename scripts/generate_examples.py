@@ -148,7 +148,7 @@ def dovetail() -> Solids:
     return {
         "base.stl": base,
         "slide.stl": carriage - peg(4, 60, FINE).translate([0, 0, -20]),
-        "pin.stl": peg(4, 45, FINE),
+        "pin.stl": peg(4, 30, FINE) + block(16, 16, 18).translate([0, 0, 29]),
     }
 
 
@@ -188,8 +188,8 @@ def hinge() -> Solids:
 def crate() -> Solids:
     """A box and two dividers that are halved over each other."""
     box = block(76, 76, 36) - block(64, 64, 40).translate([0, 0, 6])
-    wall = block(64, 5, 42)
-    slot = block(5, 20, 30)
+    wall = block(64, 10, 42)
+    slot = block(10, 20, 30)
     return {
         "box.obj": box,
         "lower.obj": wall - slot.translate([0, 0, 21]),
@@ -198,11 +198,11 @@ def crate() -> Solids:
 
 
 def wedge_clamp() -> Solids:
-    """A trough, a workpiece, and two wedges; the second one is 2 mm short of the floor, so that it jams
-    before it lands."""
+    """A trough, a workpiece, and two wedges; the second one is 4 mm short of the floor, so that it jams
+    before it lands, also when it has slid as far as the gaps let it."""
     trough = block(100, 36, 46) - block(80, 60, 46).translate([0, 0, 8])
     fixed = prism([(-13, 0), (13, 0), (13, 40), (1, 40)], 36)
-    driven = prism([(-20, 2), (-5.3, 2), (12.9, 54), (-20, 54)], 36)
+    driven = prism([(-20, 4), (-4.6, 4), (12.9, 54), (-20, 54)], 36)
     return {"trough.obj": trough, "work.obj": block(40, 36, 44), "fixed.obj": fixed, "driven.obj": driven}
 
 
