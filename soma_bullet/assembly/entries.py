@@ -7,14 +7,14 @@ import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, NewType
+from typing import Any, Literal, NewType, get_args, get_origin
 
 import numpy as np
 from cattrs import Converter
 from cattrs.errors import BaseValidationError, ClassValidationError, ForbiddenExtraKeysError
 from scipy.spatial.transform import Rotation
 
-from soma_bullet.assembly.model import Advice
+from soma_bullet.assembly.advice import Advice
 from soma_bullet.frames import Array, make_transform
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}  # [m]
@@ -78,7 +78,7 @@ class FileEntry:
     unit: str
     support: SupportEntry = field(default_factory=SupportEntry)
     defaults: DefaultsEntry = field(default_factory=DefaultsEntry)
-    planner: Advice = field(default_factory=Advice)
+    advice: Advice = field(default_factory=Advice)
 
     def of_every_piece(self, number: int) -> dict[str, Any]:
         """What the piece of that number has where it does not say otherwise."""
@@ -129,11 +129,18 @@ def _color(value: Any, _: Any) -> Color:
     raise ValueError(f'must be "#rrggbb" or three numbers from 0 to 1, not {value!r}')
 
 
+def _choice(value: Any, kind: Any) -> Any:
+    if value not in get_args(kind):
+        raise ValueError(f"must be {' or '.join(map(repr, get_args(kind)))}, not {value!r}")
+    return value
+
+
 def _converter(forbid_extra_keys: bool) -> Converter:
     converter = Converter(forbid_extra_keys=forbid_extra_keys)
     converter.register_structure_hook(float, _number)
     converter.register_structure_hook(str, _text)
     converter.register_structure_hook_func(lambda kind: kind == Numbers, _numbers)
+    converter.register_structure_hook_func(lambda kind: get_origin(kind) is Literal, _choice)
     converter.register_structure_hook_func(lambda kind: kind is Color, _color)
     return converter
 
@@ -201,9 +208,9 @@ def parse_entries(raw: Mapping[str, Any], faults: list[str]) -> tuple[FileEntry 
         faults += _name_faults("the file", head.name)
         faults += _value_faults("[support]", friction=head.support.friction)
         for key in ("push", "disturbance"):
-            value = getattr(head.planner, key)
+            value = getattr(head.advice, key)
             if value is not None and value < 0.0:
-                faults.append(f"[planner]: {key} = {value:g} must not be negative")
+                faults.append(f"[advice]: {key} = {value:g} must not be negative")
         faults += _value_faults("[defaults]", **{key: getattr(head.defaults, key) for key in VALUES})
     names = [table.get("name") for table in tables]
     for name in dict.fromkeys(name for name in names if isinstance(name, str) and names.count(name) > 1):

@@ -13,9 +13,10 @@
     clearance = 0.1        # by how much every face of the real piece stands back from its mesh
     chamfer = 0.0          # by how much the edges of the real piece are cut, along both of their faces
 
-    [planner]              # optional, as are its keys: how it is planned where nobody asks otherwise
-    push = 1.0             # N; as --push, --disturbance, --stability and --analyzer
+    [advice]               # optional, as are its keys: how it is planned and judged, if nobody asks otherwise
+    push = 1.0             # N; as --push, --disturbance, --stability, --analyzer and --tolerance-of
     analyzers = ["grounded"]
+    tolerance_of = "rest"
 
     [[piece]]              # one for each; mesh_unit, color, density, friction, clearance, chamfer: optional
     name = "Z"
@@ -37,10 +38,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from soma_bullet.assembly.advice import Advice
 from soma_bullet.assembly.checks import goal_faults, piece_faults
 from soma_bullet.assembly.entries import UNITS, Faults, PieceEntry, goal_pose, parse_entries
 from soma_bullet.assembly.mesh_file import read_mesh
-from soma_bullet.assembly.model import Advice, Assembly, Support
+from soma_bullet.assembly.model import Assembly, Support
 from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.errors import InputError
 from soma_bullet.frames import readonly
@@ -67,15 +69,15 @@ def load_assembly(path_or_name: str | Path) -> Assembly:
             said = {key: value for key, value in asdict(entry).items() if key != "chamfer" or value}
             hashes.append(said | {"mesh": loaded[1]})
     content = {"name": head.name, "unit": head.unit, "support": asdict(head.support), "pieces": hashes}
-    if head.planner != Advice():
-        content["planner"] = asdict(head.planner)
+    if head.advice != Advice():
+        content["advice"] = asdict(head.advice)
     assembly = Assembly(
         name=head.name,
         pieces=tuple(pieces),
         goals=readonly(goals).reshape(-1, 4, 4),
         support=Support(head.support.height * UNITS[head.unit], head.support.friction),
         digest=hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest(),
-        advice=head.planner,
+        advice=head.advice,
     )
     # where a piece is missing, its neighbours would seem to float
     faults += goal_faults(assembly, whole=not faults)

@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
+from soma_bullet.assembly.advice import Advice
 from soma_bullet.assembly.contacts import SUPPORT, Contact, find_contacts
 from soma_bullet.assembly.hulls import Hull
 from soma_bullet.assembly.separation import swept_separation
@@ -29,21 +30,6 @@ class Support:
 
     height: float = 0.0
     friction: float = 0.5
-
-
-@dataclass(frozen=True)
-class Advice:
-    """How an assembly asks to be planned, where nobody asks otherwise.
-
-    Attributes:
-        push: of the next insertion, that a hold must resist [N]; disturbance: the same sideways [g].
-        stability, analyzers: what judges states, and steps beside the usual.
-    """
-
-    push: float | None = None
-    disturbance: float | None = None
-    stability: str | None = None
-    analyzers: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
-from soma_bullet.assembly.model import Advice
+from soma_bullet.assembly.advice import Advice
 from soma_bullet.grasp.options import SamplingOptions
 from soma_bullet.option import NOT_NEGATIVE, SEED, Options, Range
 

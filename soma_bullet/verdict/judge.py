@@ -9,14 +9,15 @@ import numpy as np
 
 from soma_bullet.assembly.contacts import SUPPORT
 from soma_bullet.assembly.model import Assembly
+from soma_bullet.assembly.settling import rest_shifts
 from soma_bullet.frames import Array, Indices, apply, inverse, rotation_angle
 from soma_bullet.robot.model import Cell
 from soma_bullet.task.kinds import KINDS
+from soma_bullet.verdict.limits import VELOCITY_EXCESS, Limits, limits_of
 from soma_bullet.verdict.options import Tolerance
 from soma_bullet.world.log import ExecutionLog, SegmentRecord
 
 STAND, TABLE = "stand", "table"
-VELOCITY_EXCESS = 1.05  # of a joint's limit, measured by differences over a sample
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,7 @@ class PieceVerdict:
     Attributes:
         error_mm: displacement of the centre of mass; error_max_mm: of the worst vertex; error_deg: rotation.
         in_place: within the tolerance.
+        rest_mm: displacement of the centre of mass from where the piece should have come to rest.
     """
 
     name: str
@@ -33,6 +35,7 @@ class PieceVerdict:
     error_max_mm: float
     error_deg: float
     in_place: bool
+    rest_mm: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -97,19 +100,6 @@ class InsertionForce:
 
 
 @dataclass(frozen=True)
-class Limits:
-    """How near the arms came to their limits.
-
-    Attributes:
-        joint_deg: smallest distance of a joint from its end; speed: largest fraction of a joint's speed
-            limit.
-    """
-
-    joint_deg: float
-    speed: float
-
-
-@dataclass(frozen=True)
 class Judgement:
     """The verdict and every number behind it; `causes` says what is wrong, empty on success."""
 
@@ -140,7 +130,8 @@ def judge(log: ExecutionLog, assembly: Assembly, cell: Cell, tolerance: Toleranc
     """
     tolerance = tolerance or Tolerance()
     tolerance.check()
-    pieces = tuple(_piece(log, assembly, k, tolerance) for k in range(len(assembly.pieces)))
+    rest = rest_shifts(assembly)
+    pieces = tuple(_piece(log, assembly, k, tolerance, rest[k]) for k in range(len(assembly.pieces)))
     forbidden = tuple(_forbidden(log, assembly, cell))
     dropped = tuple(
         sorted(
@@ -148,10 +139,11 @@ def judge(log: ExecutionLog, assembly: Assembly, cell: Cell, tolerance: Toleranc
             & set(assembly.names)
         )
     )
-    limits = _limits(log, cell)
+    limits = limits_of(log, cell)
     causes = [] if log.ended == "done" else [log.ended]
     causes += [
         f"{v.name} is {v.error_mm:.2f} mm and {v.error_deg:.2f} deg from its goal"
+        f"{f', {v.rest_mm:.2f} mm from where it should rest' if abs(v.rest_mm - v.error_mm) > 0.5 else ''}"
         for v in pieces
         if not v.in_place
     ]
@@ -180,7 +172,7 @@ def judge(log: ExecutionLog, assembly: Assembly, cell: Cell, tolerance: Toleranc
     )
 
 
-def _piece(log: ExecutionLog, assembly: Assembly, k: int, tolerance: Tolerance) -> PieceVerdict:
+def _piece(log: ExecutionLog, assembly: Assembly, k: int, tolerance: Tolerance, rest: Array) -> PieceVerdict:
     piece = assembly.pieces[k]
     final = log.piece_pose(-1, piece.name)
     goal = log.T_world_assembly @ assembly.goals[k]
@@ -188,8 +180,11 @@ def _piece(log: ExecutionLog, assembly: Assembly, k: int, tolerance: Tolerance) 
     vertices = np.linalg.norm(apply(final, piece.vertices) - apply(goal, piece.vertices), axis=1)
     error_mm = float(np.linalg.norm(com)) * 1e3
     error_deg = float(np.rad2deg(rotation_angle(final[:3, :3], goal[:3, :3])))
-    in_place = error_mm <= tolerance.mm and error_deg <= tolerance.deg
-    return PieceVerdict(piece.name, error_mm, float(vertices.max()) * 1e3, error_deg, in_place)
+    rest_mm = float(np.linalg.norm(com - log.T_world_assembly[:3, :3] @ rest)) * 1e3
+    of = assembly.advice.tolerance_of if tolerance.of == "file" else tolerance.of
+    counts = rest_mm if of == "rest" else error_mm
+    in_place = counts <= tolerance.mm and error_deg <= tolerance.deg
+    return PieceVerdict(piece.name, error_mm, float(vertices.max()) * 1e3, error_deg, in_place, rest_mm)
 
 
 def _insertion(
@@ -334,15 +329,3 @@ def _gripping_spans(log: ExecutionLog) -> dict[tuple[str, str], list[tuple[float
     for key, start in opened.items():
         spans.setdefault(key, []).append((start, np.inf))
     return spans
-
-
-def _limits(log: ExecutionLog, cell: Cell) -> Limits:
-    nearest, fastest = np.inf, 0.0
-    for arm in cell.arms:
-        columns = [log.joint_names.index(name) for name in arm.joint_names]
-        q = log.joints[:, columns]
-        nearest = min(nearest, float((q - arm.lower).min()), float((arm.upper - q).min()))
-        if len(q) > 1:
-            speed = np.abs(np.diff(q, axis=0)) / np.diff(log.times)[:, None] / arm.velocity
-            fastest = max(fastest, float(speed.max()))
-    return Limits(float(np.rad2deg(nearest)), fastest)

@@ -29,7 +29,7 @@ VOLUMES = {
     "sliding_lid": 125.94,
     "stool": 80.40,
     "tower": 114.89,
-    "wedge_clamp": 191.43,
+    "wedge_clamp": 190.35,
     "soma3": 69.65,
     "soma4": 94.97,
     "cube": 170.95,

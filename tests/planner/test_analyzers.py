@@ -10,7 +10,7 @@ from textwrap import dedent
 import pytest
 from blocks import assembly, box
 
-from soma_bullet.assembly.model import Advice
+from soma_bullet.assembly.advice import Advice
 from soma_bullet.errors import InputError
 from soma_bullet.grasp.hand import Hand
 from soma_bullet.grasp.hand_set import HandSet
