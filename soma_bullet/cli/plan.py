@@ -28,8 +28,10 @@ class PlanArguments(Options):
     assembly: str
     """An assembly file, or the name of one that comes with the package (soma3, soma4, cube, dowel, arch,
     ...)."""
-    hand: str = "ur5e_pair"
-    """A hand.toml, a folder that has one, or the name of a cell whose hand it is."""
+    cell: str = "ur5e_pair"
+    """A folder or cell.toml whose arms' hands are to build it, or the name of one under robots/."""
+    hand: str | None = None
+    """A hand.toml that replaces the hands of the cell, or the name of a cell whose hand it is."""
     planner: PlannerOptions = PlannerOptions()
     """How orders are judged."""
     explain: bool = False
@@ -82,15 +84,17 @@ def _run(options: PlanArguments) -> int:
     from soma_bullet.records import write_json
     from soma_bullet.report.explain import explain_plan, explain_rows
     from soma_bullet.report.table import plan_table
-    from soma_bullet.robot.cell import find_hand
+    from soma_bullet.robot.cell import find_hand, load_cell
 
     console = Console(stderr=True)
     console.width = max(console.width, WIDTH)
-    assembly, hands = load_assembly(options.assembly), HandSet.alike(find_hand(options.hand))
-    qualities = Qualities(assembly, hands, options.planner)
+    assembly, cell = load_assembly(options.assembly), load_cell(options.cell)
+    hands = cell.hands if options.hand is None else HandSet.alike(find_hand(options.hand), len(cell.arms))
+    planner = options.planner.with_hands(len(cell.arms)).advised(assembly.advice)
+    qualities = Qualities(assembly, hands, planner)
     with console.status(f"planning {assembly.name}") as status:
         try:
-            found = make_plan(assembly, hands, options.planner, qualities=qualities)
+            found = make_plan(assembly, hands, planner, qualities=qualities)
         except NoPlanError as error:
             if options.explain:
                 console.print(explain_rows(error.rows, Tree(f"{assembly.name}: {error.summary}")))
