@@ -1,0 +1,221 @@
+"""Which packing of a figure is built, on which side: the first ones with a plan that needs no excuse.
+
+Side after side, as drawn first. The packings of a side are ordered by how promising they look; in that order
+they are taken apart with hands and equilibrium, and each that comes apart cleanly is planned in full. What
+comes apart with holds alone is planned where there is nothing better."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from soma_bullet.errors import NoSolutionError
+from soma_bullet.figure.examine import Examination, examine
+from soma_bullet.figure.model import packed
+from soma_bullet.figure.options import FigureOptions
+from soma_bullet.figure.packing import Packing
+from soma_bullet.figure.rank import apart_price
+from soma_bullet.figure.sides import Standing
+from soma_bullet.grasp.hand_set import HandSet
+from soma_bullet.grasp.sampling import GraspSet
+from soma_bullet.planner.assembly_plan import AssemblyPlan
+from soma_bullet.planner.options import PlannerOptions
+from soma_bullet.planner.plan import NoPlanError, make_plan
+from soma_bullet.planner.qualities import Qualities
+
+Progress = Callable[[str, float], None]  # what is going on, and the fraction that is done
+RANKED = 1000  # packings of a side whose promise is looked at; of more, the first ones
+SHARE = 0.5  # of what is left of examinations and plans that a side may spend while others come after it
+ROBUST = "robust"
+
+
+@dataclass(frozen=True)
+class SideSurvey:
+    """What became of the packings of one side.
+
+    Attributes:
+        side: which side of the drawing is down.
+        packings: there, up to rotations about the vertical.
+        examined: taken apart with hands and equilibrium.
+        planned: with how many plans were made.
+        obstacles: why packings cannot be built -> how many.
+        unplanned: planned in full, and without a plan.
+        note: why no packing was looked at; else empty.
+    """
+
+    side: str
+    packings: int = 0
+    examined: int = 0
+    planned: int = 0
+    obstacles: dict[str, int] = field(default_factory=dict)
+    unplanned: int = 0
+    note: str = ""
+
+    @property
+    def left(self) -> int:
+        """Packings that nobody looked at, or of which nobody knows whether they can be built."""
+        return self.packings - sum(self.obstacles.values()) - self.unplanned - self.planned
+
+    def text(self) -> str:
+        """One line for people."""
+        if self.note:
+            return f"{self.side}: {self.note}"
+        parts = [f"{self.packings} packings", f"{self.examined} examined"]
+        parts += [f"{count} {obstacle}" for obstacle, count in self.obstacles.items()]
+        parts += [f"{self.unplanned} without a plan"] if self.unplanned else []
+        parts += [f"{self.planned} planned"] if self.planned else []
+        parts += [f"{self.left} left aside"] if self.left else []
+        return f"{self.side}: {', '.join(parts)}"
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A packing with its plan.
+
+    Attributes:
+        side: which side of the drawing is down.
+        packing: so turned.
+        plan: of the assembly that `packed` makes of it.
+    """
+
+    side: str
+    packing: Packing
+    plan: AssemblyPlan
+
+    @property
+    def clean(self) -> bool:
+        """The plan has no warning, and no state of it depends on clearances."""
+        return self.excuses == 0
+
+    @property
+    def excuses(self) -> int:
+        """Warnings, and states that depend on clearances."""
+        return len(self.plan.warnings) + sum(step.verdict != ROBUST for step in self.plan.steps)
+
+
+class NoFigurePlanError(NoSolutionError):
+    """No packing that was looked at can be built. Carries what was looked at, and the reasons."""
+
+    def __init__(self, name: str, surveys: tuple[SideSurvey, ...], reasons: Counter[str]):
+        self.surveys = surveys
+        looked = sum(survey.packings - survey.left for survey in surveys)
+        left = sum(survey.left for survey in surveys)
+        self.proven = left == 0
+        said = f"no packing of the {looked} looked at can be built"
+        rest = "" if self.proven else f"; {left} more were left aside: --examined and --tries look at more"
+        super().__init__("figure", f"{name}: {said}{rest}", reasons, [survey.text() for survey in surveys])
+
+
+class Chooser:
+    """Looks at packings until there are enough good plans, or no looks left.
+
+    Attributes:
+        surveys: what became of each side that was looked at.
+        reasons: why packings cannot be built -> how many.
+        plans: that were made.
+    """
+
+    def __init__(
+        self, name: str, hands: HandSet, options: FigureOptions, planner: PlannerOptions, progress: Progress
+    ):
+        self.name, self.hands, self.options, self.planner = name, hands, options, planner
+        self.progress = progress
+        self.surveys: list[SideSurvey] = []
+        self.reasons = Counter[str]()
+        self.plans: list[Candidate] = []
+        self.looks, self.tries = options.examined, options.tries
+        self._grasps: dict[str, GraspSet] = {}
+
+    @property
+    def satisfied(self) -> bool:
+        """There are as many good plans as were asked for."""
+        return sum(plan.clean for plan in self.plans) >= self.options.plans
+
+    def best(self) -> Candidate | None:
+        """The plan with the fewest excuses, then the best score; of equal ones the first."""
+        return min(self.plans, key=lambda plan: (plan.excuses, -plan.plan.score), default=None)
+
+    def pass_over(self, standing: Standing) -> None:
+        """Note a side on which the figure falls."""
+        self.surveys.append(SideSurvey(standing.side, note=f"cannot stand: {standing.falls}"))
+
+    def look_at(self, standing: Standing, found: tuple[Packing, ...], more: bool) -> None:
+        """Examine and plan packings of one side; `more`: others come after it."""
+        looks = math.ceil(self.looks * SHARE) if more else self.looks
+        tries = math.ceil(self.tries * SHARE) if more else self.tries
+        _Side(self, standing.side, found, looks, tries).run()
+
+    def qualities(self, packing: Packing) -> Qualities:
+        """Those of a packing; grasps of a piece alone are sampled once."""
+        assembly, letters = packed(self.name, packing), [letter for letter, _ in packing]
+        known = {k: self._grasps[letter] for k, letter in enumerate(letters) if letter in self._grasps}
+        qualities = Qualities(assembly, self.hands, self.planner, known)
+        for k, letter in enumerate(letters):
+            self._grasps.setdefault(letter, qualities.grasps(k))
+        return qualities
+
+
+class _Side:
+    """The search among the packings of one side."""
+
+    def __init__(
+        self, chooser: Chooser, side: str, found: tuple[Packing, ...], looks: int, tries: int
+    ):
+        self.c, self.side, self.looks, self.tries = chooser, side, looks, tries
+        self.found = found
+        self.survey = SideSurvey(side, len(found))
+
+    def run(self) -> None:
+        """Clean packings are planned as they are found; those with holds when the looks are spent."""
+        reserve: list[Packing] = []
+        for number, (packing, hint) in enumerate(self._ranked()):
+            if self.c.satisfied or not (self.looks and self.tries):
+                break
+            self.c.progress(f"{self.side}: taking packing {number + 1} apart", 0.0)
+            qualities = self.c.qualities(packing)
+            result = examine(qualities, hint)
+            self.looks -= 1
+            self.c.looks -= 1
+            self.survey = replace(self.survey, examined=self.survey.examined + 1)
+            if result.outlook == "impossible":
+                self._rule_out(result)
+            elif result.outlook == "clean":
+                self._plan(packing, qualities)
+            else:
+                reserve.append(packing)
+        for packing in reserve:
+            if self.c.satisfied or not self.tries:
+                break
+            self._plan(packing, self.c.qualities(packing))
+        self.c.surveys.append(self.survey)
+
+    def _ranked(self) -> list[tuple[Packing, tuple[int, ...]]]:
+        """The most promising packings first, each with an order to build it in."""
+        self.c.progress(f"{self.side}: ordering {len(self.found)} packings", 0.0)
+        priced = [(*apart_price(packing), packing) for packing in self.found[:RANKED]]
+        priced.sort(key=lambda item: item[0])
+        return [(packing, order) for _, order, packing in priced]
+
+    def _rule_out(self, result: Examination) -> None:
+        obstacles = dict(self.survey.obstacles)
+        obstacles[result.obstacle] = obstacles.get(result.obstacle, 0) + 1
+        self.survey = replace(self.survey, obstacles=obstacles)
+        self.c.reasons[result.reason] += 1
+
+    def _plan(self, packing: Packing, qualities: Qualities) -> None:
+        self.tries -= 1
+        self.c.tries -= 1
+        self.c.progress(f"{self.side}: planning a packing", 0.0)
+        try:
+            plan = make_plan(qualities.assembly, self.c.hands, self.c.planner, qualities=qualities)
+        except NoPlanError as error:
+            self.survey = replace(self.survey, unplanned=self.survey.unplanned + 1)
+            for reason, count in error.reasons.most_common(1):
+                self.c.reasons[reason] += count
+            return
+        self.survey = replace(self.survey, planned=self.survey.planned + 1)
+        self.c.plans.append(Candidate(self.side, packing, plan))
+
+
