@@ -59,6 +59,7 @@ SCENES = (
     ),
 )
 
+
 def main(folder: Path) -> None:
     """Write all pieces and scenes into `folder`."""
     folder.mkdir(parents=True, exist_ok=True)

@@ -160,9 +160,7 @@ class Chooser:
 class _Side:
     """The search among the packings of one side."""
 
-    def __init__(
-        self, chooser: Chooser, side: str, found: tuple[Packing, ...], looks: int, tries: int
-    ):
+    def __init__(self, chooser: Chooser, side: str, found: tuple[Packing, ...], looks: int, tries: int):
         self.c, self.side, self.looks, self.tries = chooser, side, looks, tries
         self.found = found
         self.survey = SideSurvey(side, len(found))
@@ -217,5 +215,3 @@ class _Side:
             return
         self.survey = replace(self.survey, planned=self.survey.planned + 1)
         self.c.plans.append(Candidate(self.side, packing, plan))
-
-

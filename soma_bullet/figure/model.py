@@ -65,8 +65,7 @@ def write_assembly(name: str, packing: Packing, about: str, folder: Path) -> Pat
     for letter in sorted({letter for letter, _ in packing}):
         write_text(obj_text(letter), folder / f"{letter}.obj")
     goals = tuple(
-        (called, letter, cells)
-        for (letter, cells), called in zip(packing, piece_names(packing), strict=True)
+        (called, letter, cells) for (letter, cells), called in zip(packing, piece_names(packing), strict=True)
     )
     told = f"{about}\nIts packing, layer by layer from the bottom up:\n{layers_text(packing).rstrip()}"
     text = scene_text(Scene(name, told, goals), AUTHOR)

@@ -8,7 +8,16 @@ from dataclasses import dataclass, field
 
 from soma_bullet.errors import InputError, NoSolutionError
 from soma_bullet.figure.cover import Cover, NodesSpent, Placement
-from soma_bullet.figure.pieces import PIECES, TURNS, Cells, Turn, at_origin, lowest_corner, orientations, turned
+from soma_bullet.figure.pieces import (
+    PIECES,
+    TURNS,
+    Cells,
+    Turn,
+    at_origin,
+    lowest_corner,
+    orientations,
+    turned,
+)
 
 Packing = tuple[tuple[str, Cells], ...]  # letter and cells of every piece, sorted
 UPRIGHT = tuple(turn for turn in TURNS if turn[2] == (0, 0, 1))  # rotations about the vertical
@@ -81,7 +90,9 @@ def turned_packing(packing: Packing, turn: Turn) -> Packing:
     pieces = [(letter, turned(cells, turn)) for letter, cells in packing]
     i, j, k = lowest_corner(tuple(cell for _, cells in pieces for cell in cells))
     return tuple(
-        sorted((letter, tuple(sorted((x - i, y - j, z - k) for x, y, z in cells))) for letter, cells in pieces)
+        sorted(
+            (letter, tuple(sorted((x - i, y - j, z - k) for x, y, z in cells))) for letter, cells in pieces
+        )
     )
 
 

@@ -54,9 +54,7 @@ def obj_text(shape: str) -> str:
 def turned(cells: Cells, turn: Turn) -> Cells:
     """The cells after a rotation about the origin, each at its place in the sequence."""
     (a, b, c), (d, e, f), (g, h, i) = turn
-    return tuple(
-        (a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z) for x, y, z in cells
-    )
+    return tuple((a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z) for x, y, z in cells)
 
 
 def lowest_corner(cells: Cells) -> Cell:

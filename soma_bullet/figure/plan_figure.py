@@ -39,6 +39,7 @@ class FigurePlan:
         packing: letter and cells of every piece, so turned, sorted.
         assembly: the packing as an assembly.
         plan: of that assembly.
+        hands: for which it was made.
         packings: of the figure as drawn.
         surveys: what became of the packings of each side that was looked at.
     """
@@ -48,6 +49,7 @@ class FigurePlan:
     packing: Packing
     assembly: Assembly
     plan: AssemblyPlan
+    hands: HandSet
     packings: Packings
     surveys: tuple[SideSurvey, ...] = field(default_factory=tuple)
 
@@ -114,7 +116,7 @@ def plan_figure(
     if best is None:
         raise NoFigurePlanError(figure.name, surveys, chooser.reasons)
     assembly = packed(figure.name, best.packing)
-    return FigurePlan(figure.name, best.side, best.packing, assembly, best.plan, packings, surveys)
+    return FigurePlan(figure.name, best.side, best.packing, assembly, best.plan, hands, packings, surveys)
 
 
 def _packings(figure: Drawing, supply: dict[str, int], options: FigureOptions) -> Packings:
