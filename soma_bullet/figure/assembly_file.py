@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
+from itertools import product
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -46,13 +48,19 @@ class Scene:
     goals: tuple[tuple[str, str, tuple[Cell, ...]], ...]
 
 
+@cache
+def _rotations() -> list[tuple[tuple[int, int, int], Array]]:
+    """Roll, pitch and yaw in multiples of 90 [deg], each with its rotation (3, 3), those that turn least first."""
+    angles = sorted(
+        product((0, 90, -90, 180), repeat=3),
+        key=lambda a: (sum(map(abs, a)), np.count_nonzero(a), tuple(-v for v in a)),
+    )
+    return [(a, Rotation.from_euler("xyz", a, degrees=True).as_matrix()) for a in angles]  # type: ignore[misc]
+
+
 def plain_angles(rotation: Array) -> tuple[int, int, int]:
     """Roll, pitch, yaw [deg] about the fixed axes x, y, z: the multiples of 90 that turn least."""
-    angles = ((r, p, y) for r in (0, 90, -90, 180) for p in (0, 90, -90, 180) for y in (0, 90, -90, 180))
-    same = (
-        a for a in angles if np.allclose(Rotation.from_euler("xyz", a, degrees=True).as_matrix(), rotation)
-    )
-    return min(same, key=lambda a: (sum(map(abs, a)), np.count_nonzero(a), tuple(-v for v in a)))
+    return next(angles for angles, matrix in _rotations() if np.abs(matrix - rotation).max() < 1e-6)
 
 
 def least_turned(shape: str, cells: tuple[Cell, ...]) -> tuple[tuple[int, int, int], Array]:

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from soma_bullet.errors import NoSolutionError
-from soma_bullet.figure.examine import Examination, examine
+from soma_bullet.figure.examine import STANDS, Examination, examine
 from soma_bullet.figure.model import packed
 from soma_bullet.figure.options import FigureOptions
 from soma_bullet.figure.packing import Packing
@@ -27,7 +27,7 @@ from soma_bullet.planner.qualities import Qualities
 
 Progress = Callable[[str, float], None]  # what is going on, and the fraction that is done
 RANKED = 1000  # packings of a side whose promise is looked at; of more, the first ones
-SHARE = 0.5  # of what is left of examinations and plans that a side may spend while others come after it
+SHARE = 0.5  # of what is left of looks and tries that a side may spend while others come after it
 ROBUST = "robust"
 
 
@@ -39,7 +39,8 @@ class SideSurvey:
         side: which side of the drawing is down.
         packings: there, up to rotations about the vertical.
         examined: taken apart with hands and equilibrium.
-        planned: with how many plans were made.
+        planned: how many were planned.
+        excused: how many of these plans have warnings, or states that depend on clearances.
         obstacles: why packings cannot be built -> how many.
         unplanned: planned in full, and without a plan.
         note: why no packing was looked at; else empty.
@@ -49,6 +50,7 @@ class SideSurvey:
     packings: int = 0
     examined: int = 0
     planned: int = 0
+    excused: int = 0
     obstacles: dict[str, int] = field(default_factory=dict)
     unplanned: int = 0
     note: str = ""
@@ -65,7 +67,8 @@ class SideSurvey:
         parts = [f"{self.packings} packings", f"{self.examined} examined"]
         parts += [f"{count} {obstacle}" for obstacle, count in self.obstacles.items()]
         parts += [f"{self.unplanned} without a plan"] if self.unplanned else []
-        parts += [f"{self.planned} planned"] if self.planned else []
+        excused = f" ({self.excused} with warnings or states that depend on clearances)"
+        parts += [f"{self.planned} planned{excused if self.excused else ''}"] if self.planned else []
         parts += [f"{self.left} left aside"] if self.left else []
         return f"{self.side}: {', '.join(parts)}"
 
@@ -104,7 +107,13 @@ class NoFigurePlanError(NoSolutionError):
         left = sum(survey.left for survey in surveys)
         self.proven = left == 0
         said = f"no packing of the {looked} looked at can be built"
-        rest = "" if self.proven else f"; {left} more were left aside: --examined and --tries look at more"
+        if (
+            self.proven
+            and all(set(survey.obstacles) <= {STANDS} for survey in surveys)
+            and not any(survey.unplanned for survey in surveys)
+        ):
+            said = f"stands on no side: all {looked} packings and sides fall"
+        rest = "" if self.proven else f"; {left} more were left aside: --looks and --tries go further"
         super().__init__("figure", f"{name}: {said}{rest}", reasons, [survey.text() for survey in surveys])
 
 
@@ -125,7 +134,7 @@ class Chooser:
         self.surveys: list[SideSurvey] = []
         self.reasons = Counter[str]()
         self.plans: list[Candidate] = []
-        self.looks, self.tries = options.examined, options.tries
+        self.looks, self.tries = options.looks, options.tries
         self._grasps: dict[str, GraspSet] = {}
 
     @property
@@ -169,13 +178,13 @@ class _Side:
         """Clean packings are planned as they are found; those with holds when the looks are spent."""
         reserve: list[Packing] = []
         for number, (packing, hint) in enumerate(self._ranked()):
-            if self.c.satisfied or not (self.looks and self.tries):
+            if self.c.satisfied or self.looks <= 0 or not self.tries:
                 break
             self.c.progress(f"{self.side}: taking packing {number + 1} apart", 0.0)
             qualities = self.c.qualities(packing)
             result = examine(qualities, hint)
-            self.looks -= 1
-            self.c.looks -= 1
+            self.looks -= result.looks
+            self.c.looks -= result.looks
             self.survey = replace(self.survey, examined=self.survey.examined + 1)
             if result.outlook == "impossible":
                 self._rule_out(result)
@@ -213,5 +222,7 @@ class _Side:
             for reason, count in error.reasons.most_common(1):
                 self.c.reasons[reason] += count
             return
-        self.survey = replace(self.survey, planned=self.survey.planned + 1)
-        self.c.plans.append(Candidate(self.side, packing, plan))
+        candidate = Candidate(self.side, packing, plan)
+        planned, excused = self.survey.planned + 1, self.survey.excused + (not candidate.clean)
+        self.survey = replace(self.survey, planned=planned, excused=excused)
+        self.c.plans.append(candidate)

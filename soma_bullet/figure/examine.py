@@ -9,7 +9,7 @@ stands by itself, carries the next piece and bears its push."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
 
@@ -19,7 +19,7 @@ from soma_bullet.planner.options import PAPER
 from soma_bullet.planner.qualities import NOTHING, Placed, Qualities
 
 Outlook = Literal["clean", "possible", "unknown", "impossible"]
-FIRST_LOOK = 30  # steps that the first look may judge
+FIRST_LOOK = 20  # steps that the first look may judge
 SECOND_LOOK = 60  # ... and the second one, after which the planner may find out
 STANDS, LAST, STUCK = "does not stand", "no piece can be the last", "cannot be taken apart"
 
@@ -34,11 +34,13 @@ class Examination:
             `impossible`: there is none.
         obstacle: what makes it impossible, one of STANDS, LAST and STUCK; else empty.
         reason: the same with the pieces and the numbers.
+        looks: states and insertions that were judged.
     """
 
     outlook: Outlook
     obstacle: str = ""
     reason: str = ""
+    looks: int = 0
 
 
 def examine(qualities: Qualities, hint: Sequence[int]) -> Examination:
@@ -47,7 +49,8 @@ def examine(qualities: Qualities, hint: Sequence[int]) -> Examination:
     Args:
         hint: the pieces in an order that looks good; they are taken out from its end.
     """
-    return _Look(qualities, hint).examine()
+    look = _Look(qualities, hint)
+    return replace(look.examine(), looks=1 + len(look.judged))
 
 
 class _Look:

@@ -25,10 +25,10 @@ class FigureOptions(Options):
     drawn, and where that cannot be built well, the others in turn."""
     plans: Annotated[int, Range(1)] = 1
     """Plans without a warning that are compared; the one with the best score wins."""
-    tries: Annotated[int, Range(1)] = 6
+    tries: Annotated[int, Range(1)] = 4
     """Packings that are planned in full at most."""
-    examined: Annotated[int, Range(1)] = 60
-    """Packings that are taken apart at most, with grasps and equilibrium, before any is planned in full; the
-    most promising come first."""
+    looks: Annotated[int, Range(1)] = 200
+    """States and insertions that are judged at most while packings are taken apart, with grasps and
+    equilibrium, to find out which can be planned; the most promising packings come first."""
     nodes: Annotated[int, Range(1)] = 1_000_000
     """Nodes of the search for packings of one side, after which it ends with what it has found."""

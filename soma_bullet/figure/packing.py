@@ -110,24 +110,21 @@ def find_packings(cells: Cells, supply: dict[str, int], nodes: int, most: int | 
         most: end after so many that no rotation about the vertical maps onto each other.
     """
     number = {cell: k for k, cell in enumerate(cells)}
-    placements = [
-        Placement(letter, sum(1 << number[cell] for cell in put))
-        for letter in supply
-        for put in placements_in(cells, letter)
-    ]
-    places = [
-        (placement.piece, tuple(cell for cell in cells if placement.mask >> number[cell] & 1))
-        for placement in placements
-    ]
-    cover = Cover(len(cells), placements, supply, nodes)
     upright, every = symmetries(cells, UPRIGHT), symmetries(cells)
+    choices = _reduced(cells, supply, upright)
+    places = [(letter, put) for letter in supply for put in choices[letter]]
+    placements = [Placement(letter, sum(1 << number[cell] for cell in put)) for letter, put in places]
+    cover = Cover(len(cells), placements, supply, nodes)
     found: dict[Packing, Packing] = {}
     placed, complete = 0, True
     try:
         for numbers in cover.solutions():
-            placed += 1
             packing = tuple(sorted(places[k] for k in numbers))
-            found.setdefault(first_image(packing, upright), packing)
+            images = {turned_packing(packing, turn) for turn in upright}
+            first = min(images)
+            if first not in found:
+                found[first] = packing
+                placed += len(images)
             if most is not None and len(found) == most:
                 complete = False
                 break
@@ -135,6 +132,23 @@ def find_packings(cells: Cells, supply: dict[str, int], nodes: int, most: int | 
         complete = False
     distinct = len(found) if len(every) == len(upright) else len({first_image(p, every) for p in found})
     return Packings(placed, tuple(found.values()), distinct, complete, cover.nodes)
+
+
+def _reduced(cells: Cells, supply: dict[str, int], turns: tuple[Turn, ...]) -> dict[str, list[Cells]]:
+    """The placements of each piece; of the one with the most only the first of those that the figure's
+    rotations map onto each other: some rotation brings every packing to one of these."""
+    choices = {letter: sorted(placements_in(cells, letter)) for letter in supply}
+    single = [letter for letter, count in supply.items() if count == 1]
+    if len(turns) > 1 and single:
+        widest = max(single, key=lambda letter: len(choices[letter]))
+        corners = {turn: lowest_corner(turned(cells, turn)) for turn in turns}
+
+        def image(put: Cells, turn: Turn) -> Cells:
+            i, j, k = corners[turn]
+            return tuple(sorted((x - i, y - j, z - k) for x, y, z in turned(put, turn)))
+
+        choices[widest] = [put for put in choices[widest] if put == min(image(put, turn) for turn in turns)]
+    return choices
 
 
 def placements_in(cells: Cells, letter: str) -> Iterator[Cells]:
@@ -145,7 +159,7 @@ def placements_in(cells: Cells, letter: str) -> Iterator[Cells]:
         for x, y, z in cells:
             put = tuple((a + x - i, b + y - j, c + z - k) for a, b, c in shape)
             if inside.issuperset(put):
-                yield put
+                yield tuple(sorted(put))
 
 
 def layers_text(packing: Packing) -> str:

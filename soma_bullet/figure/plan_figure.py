@@ -104,7 +104,7 @@ def plan_figure(
     for standing in standings:
         if standing.falls:
             chooser.pass_over(standing)
-        elif not chooser.satisfied and chooser.looks and chooser.tries:
+        elif not chooser.satisfied and chooser.looks > 0 and chooser.tries:
             if standing.side == AS_DRAWN:
                 found = packings.found
             elif figure.packing is not None or options.packings is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -48,16 +49,19 @@ class Standing:
         turn: rotation from the drawing.
         cells: the figure so turned, at the origin.
         falls: why it cannot stand there, were it one piece; empty where it can.
+        firmness: horizontal acceleration that it resists there, were it one piece [g].
     """
 
     side: str
     turn: Turn
     cells: Cells
     falls: str
+    firmness: float
 
 
 def sides_of(cells: Cells, wanted: str = "auto") -> tuple[Standing, ...]:
-    """The sides of a figure, as drawn first; of those that look the same from above the first.
+    """The sides of a figure, as drawn first, then those on which it stands more firmly; of those that look the
+    same from above the first.
 
     Args:
         wanted: the name of one side, or `auto` for all.
@@ -67,19 +71,22 @@ def sides_of(cells: Cells, wanted: str = "auto") -> tuple[Standing, ...]:
         if wanted in ("auto", side):
             here = at_origin(turned(cells, turn))
             seen = min(at_origin(turned(here, yaw)) for yaw in UPRIGHT)
-            found.setdefault(seen, Standing(side, turn, here, why_it_falls(here)))
-    return tuple(found.values())
+            found.setdefault(seen, Standing(side, turn, here, *firmness_of(here)))
+    first = next(iter(found.values()))
+    return tuple(sorted(found.values(), key=lambda s: (s is not first, bool(s.falls), -round(s.firmness, 9))))
 
 
-def why_it_falls(cells: Cells) -> str:
-    """Why a figure at the origin falls, were each of its connected parts one piece; empty where it stands.
+def firmness_of(cells: Cells) -> tuple[str, float]:
+    """Why a figure at the origin falls, were each of its connected parts one piece, empty where it stands;
+    and the horizontal acceleration that it resists [g].
 
     What falls as one piece falls in pieces all the more: forces inside a body do not move its centre of mass.
     """
+    least = math.inf
     for part in connected_parts(cells):
         feet = [(x, y) for x, y, z in part if z == 0]
         if not feet:
-            return f"{len(part)} of its cells hang in the air, connected to nothing below"
+            return f"{len(part)} of its cells hang in the air, connected to nothing below", 0.0
         centre = np.mean(part, axis=0)
         base = shapely.union_all([shapely.box(x - 0.5, y - 0.5, x + 0.5, y + 0.5) for x, y in feet])
         middle = shapely.Point(centre[:2])
@@ -87,8 +94,9 @@ def why_it_falls(cells: Cells) -> str:
         inside = hull.exterior.distance(middle) if hull.contains(middle) else -hull.distance(middle)
         if inside <= TILT * (centre[2] + 0.5):
             where = f"{-inside * SIDE:.1f} mm outside" if inside < -1e-9 else "on the rim of"
-            return f"the centre of mass of {len(part)} cells is {where} what they stand on"
-    return ""
+            return f"the centre of mass of {len(part)} cells is {where} what they stand on", 0.0
+        least = min(least, inside / (float(centre[2]) + 0.5))
+    return "", least
 
 
 def connected_parts(cells: Iterable[Cell]) -> list[Cells]:
