@@ -253,7 +253,8 @@ FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9.-]*[a-z0-9]")
 SCRIPTS = {path.stem for path in (ROOT / "scripts").glob("*.py")}
 INSTALLED = {
     "soma-plan": "plan", "soma-episode": "run_episode", "soma-evaluate": "evaluate", "soma-render": "render",
-    "soma-compare": "compare_runs", "soma-doctor": "doctor", "soma-benchmark": "benchmark", "soma-figure": "figure",
+    "soma-compare": "compare_runs", "soma-doctor": "doctor", "soma-benchmark": "benchmark",
+    "soma-figure": "figure",
 }  # fmt: skip
 TIMINGS = ("stages", "planner", "cube240", "motion", "simulate", "episode")
 ELSEWHERE = ("pip ", "python -m pip", "git ", "apt-get ", "make ")  # commands that are not ours

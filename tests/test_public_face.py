@@ -20,8 +20,8 @@ FACE = {
         "plan_figure", "run_episode",
     },
     "values": {
-        "Assembly", "AssemblyPlan", "Cell", "EpisodeReport", "ExecutionLog", "FigurePlan", "Hand", "Judgement",
-        "Program",
+        "Assembly", "AssemblyPlan", "Cell", "EpisodeReport", "ExecutionLog", "FigurePlan", "Hand",
+        "Judgement", "Program",
     },
     "options": {
         "EpisodeOptions", "ExecutionOptions", "FeedOptions", "FigureOptions", "FilmOptions", "HoldLoad",

@@ -1,5 +1,5 @@
-"""The command line of figures: `soma-figure`, scripts/figure.py. From a drawing to a plan, and with --build on
-to the built figure."""
+"""The command line of figures: `soma-figure`, scripts/figure.py. From a drawing to a plan, and with --build
+on to the built figure."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class FigureArguments(Options):
     """Fills a drawn figure with Soma pieces, finds the packing and the side that can be built best, and plans
     it; with --build two arms build it in contact physics.
 
-    Exit status: 0 planned, and built where that was asked for; 1 the judge says no; 2 bad input; 3 no packing,
-    it stands nowhere, or no plan or no motion found (with the reasons).
+    Exit status: 0 planned, and built where that was asked for; 1 the judge says no; 2 bad input; 3 no
+    packing, it stands nowhere, or no plan or no motion found (with the reasons).
     """
 
     names: ClassVar[Mapping[str, str]] = {"figure": "", "episode": ""}
@@ -77,7 +77,7 @@ def _run(options: FigureArguments) -> int:
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     options.check()
-    from soma_bullet.episode import run_episode
+    from soma_bullet.episode import check_folder, run_episode
     from soma_bullet.figure.plan_figure import plan_figure
     from soma_bullet.pipeline import cell_of
     from soma_bullet.report.report import print_report
@@ -85,6 +85,7 @@ def _run(options: FigureArguments) -> int:
     console = Console(stderr=True)
     console.width = max(console.width, WIDTH)
     episode = options.episode if options.video else replace(options.episode, film=None)
+    check_folder(options.out)
     cell = cell_of(episode)
     planner = replace(episode.planner.with_hands(len(cell.arms)), seed=episode.seed)
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())

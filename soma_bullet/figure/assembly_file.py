@@ -50,7 +50,7 @@ class Scene:
 
 @cache
 def _rotations() -> list[tuple[tuple[int, int, int], Array]]:
-    """Roll, pitch and yaw in multiples of 90 [deg], each with its rotation (3, 3), those that turn least first."""
+    """Roll, pitch and yaw [deg] in right angles, each with its rotation (3, 3); what turns least is first."""
     angles = sorted(
         product((0, 90, -90, 180), repeat=3),
         key=lambda a: (sum(map(abs, a)), np.count_nonzero(a), tuple(-v for v in a)),

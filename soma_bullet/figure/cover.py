@@ -1,5 +1,5 @@
-"""Exact cover with optional pieces: every way to fill cells with placements, each piece used as often as it is
-there.
+"""Exact cover with optional pieces: every way to fill cells with placements, each piece used as often as it
+is there.
 
 Depth first; the cell with the fewest placements is filled next (D. Knuth, "Dancing links", 2000). Sets of
 placements are whole numbers, one bit a placement: to rule out what a placement meets is one operation. A

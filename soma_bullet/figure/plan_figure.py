@@ -95,7 +95,7 @@ def plan_figure(
     figure = drawing if isinstance(drawing, Drawing) else read_drawing(drawing, options.name)
     progress(f"looking for packings of {figure.name}", 0.0)
     packings = _packings(figure, supply, options)
-    standings = sides_of(figure.cells, options.side)
+    standings = sides_of(figure.cells, options.side, figure.packing)
     falls = {standing.side: standing.falls for standing in standings}
     if all(falls.values()):
         raise NowhereStandsError(figure.name, falls)

@@ -11,7 +11,7 @@ import shapely
 
 from soma_bullet.assembly.polycubes import Cell
 from soma_bullet.errors import NoSolutionError
-from soma_bullet.figure.packing import UPRIGHT
+from soma_bullet.figure.packing import UPRIGHT, Packing, first_image, turned_packing
 from soma_bullet.figure.pieces import SIDE, Cells, Turn, at_origin, turned
 
 TILT = 1e-3  # [g] a figure that resists no more falls, as the planner has it
@@ -59,18 +59,20 @@ class Standing:
     firmness: float
 
 
-def sides_of(cells: Cells, wanted: str = "auto") -> tuple[Standing, ...]:
-    """The sides of a figure, as drawn first, then those on which it stands more firmly; of those that look the
-    same from above the first.
+def sides_of(cells: Cells, wanted: str = "auto", packing: Packing | None = None) -> tuple[Standing, ...]:
+    """The sides of a figure, as drawn first, then those on which it stands more firmly; of those that
+    look the same from above the first.
 
     Args:
         wanted: the name of one side, or `auto` for all.
+        packing: the only one that counts; sides are the same where it looks the same on them.
     """
-    found: dict[Cells, Standing] = {}
+    found: dict[Packing, Standing] = {}
     for side, turn in SIDES.items():
         if wanted in ("auto", side):
             here = at_origin(turned(cells, turn))
-            seen = min(at_origin(turned(here, yaw)) for yaw in UPRIGHT)
+            parts: Packing = (("", here),) if packing is None else turned_packing(packing, turn)
+            seen = first_image(parts, UPRIGHT)
             found.setdefault(seen, Standing(side, turn, here, *firmness_of(here)))
     first = next(iter(found.values()))
     return tuple(sorted(found.values(), key=lambda s: (s is not first, bool(s.falls), -round(s.firmness, 9))))
