@@ -1,8 +1,8 @@
 """Which packing of a figure is built, on which side: the first ones with a plan that needs no excuse.
 
 Side after side, as drawn first. The packings of a side are ordered by how promising they look; in that order
-they are taken apart with hands and equilibrium, and each that comes apart cleanly is planned in full. What
-comes apart with holds alone is planned where there is nothing better."""
+they are taken apart with hands and equilibrium, and each that comes apart cleanly is planned in full; what
+comes apart with holds after them. The rest is planned where nothing else has a plan on any side."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from soma_bullet.errors import NoSolutionError
 from soma_bullet.figure.examine import STANDS, Examination, examine
@@ -121,7 +122,6 @@ class Chooser:
     """Looks at packings until there are enough good plans, or no looks left.
 
     Attributes:
-        surveys: what became of each side that was looked at.
         reasons: why packings cannot be built -> how many.
         plans: that were made.
     """
@@ -131,11 +131,17 @@ class Chooser:
     ):
         self.name, self.hands, self.options, self.planner = name, hands, options, planner
         self.progress = progress
-        self.surveys: list[SideSurvey] = []
+        self._surveys: dict[str, SideSurvey] = {}
+        self._reserve: list[tuple[str, Packing]] = []
         self.reasons = Counter[str]()
         self.plans: list[Candidate] = []
         self.looks, self.tries = options.looks, options.tries
         self._grasps: dict[str, GraspSet] = {}
+
+    @property
+    def surveys(self) -> tuple[SideSurvey, ...]:
+        """What became of each side that was looked at."""
+        return tuple(self._surveys.values())
 
     @property
     def satisfied(self) -> bool:
@@ -148,13 +154,41 @@ class Chooser:
 
     def pass_over(self, standing: Standing) -> None:
         """Note a side on which the figure falls."""
-        self.surveys.append(SideSurvey(standing.side, note=f"cannot stand: {standing.falls}"))
+        self._surveys[standing.side] = SideSurvey(standing.side, note=f"cannot stand: {standing.falls}")
 
     def look_at(self, standing: Standing, found: tuple[Packing, ...], more: bool) -> None:
-        """Examine and plan packings of one side; `more`: others come after it."""
-        looks = math.ceil(self.looks * SHARE) if more else self.looks
-        tries = math.ceil(self.tries * SHARE) if more else self.tries
-        _Side(self, standing.side, found, looks, tries).run()
+        """Examine packings of one side, and plan those that come apart; `more`: other sides come after it."""
+        side, held = standing.side, list[Packing]()
+        spare_looks = self.looks - math.ceil(self.looks * SHARE) if more else 0
+        spare_tries = self.tries - math.ceil(self.tries * SHARE) if more else 0
+        self._surveys[side] = SideSurvey(side, len(found))
+        self.progress(f"{side}: ordering {len(found)} packings", 0.0)
+        priced = sorted((*apart_price(packing), packing) for packing in found[:RANKED])
+        for number, (_, hint, packing) in enumerate(priced):
+            if self.satisfied or self.looks <= spare_looks or self.tries <= spare_tries:
+                break
+            self.progress(f"{side}: taking packing {number + 1} of {len(found)} apart", 0.0)
+            qualities = self.qualities(packing)
+            result = examine(qualities, hint)
+            self.looks -= result.looks
+            self._note(side, examined=self._surveys[side].examined + 1)
+            if result.outlook == "impossible":
+                self._rule_out(side, result)
+            elif result.outlook == "clean":
+                self._plan(side, packing, qualities)
+            elif result.outlook == "held":
+                held.append(packing)
+            else:
+                self._reserve.append((side, packing))
+        for packing in held:
+            if not self.satisfied and self.tries > spare_tries:
+                self._plan(side, packing, self.qualities(packing))
+
+    def look_at_the_rest(self) -> None:
+        """Plan what came apart neither cleanly nor with holds, until there is any plan."""
+        for side, packing in self._reserve:
+            if not self.plans and self.tries:
+                self._plan(side, packing, self.qualities(packing))
 
     def qualities(self, packing: Packing) -> Qualities:
         """Those of a packing; grasps of a piece alone are sampled once."""
@@ -165,64 +199,26 @@ class Chooser:
             self._grasps.setdefault(letter, qualities.grasps(k))
         return qualities
 
+    def _note(self, side: str, **changes: Any) -> None:
+        self._surveys[side] = replace(self._surveys[side], **changes)
 
-class _Side:
-    """The search among the packings of one side."""
-
-    def __init__(self, chooser: Chooser, side: str, found: tuple[Packing, ...], looks: int, tries: int):
-        self.c, self.side, self.looks, self.tries = chooser, side, looks, tries
-        self.found = found
-        self.survey = SideSurvey(side, len(found))
-
-    def run(self) -> None:
-        """Clean packings are planned as they are found; those with holds when the looks are spent."""
-        reserve: list[Packing] = []
-        for number, (packing, hint) in enumerate(self._ranked()):
-            if self.c.satisfied or self.looks <= 0 or not self.tries:
-                break
-            self.c.progress(f"{self.side}: taking packing {number + 1} apart", 0.0)
-            qualities = self.c.qualities(packing)
-            result = examine(qualities, hint)
-            self.looks -= result.looks
-            self.c.looks -= result.looks
-            self.survey = replace(self.survey, examined=self.survey.examined + 1)
-            if result.outlook == "impossible":
-                self._rule_out(result)
-            elif result.outlook == "clean":
-                self._plan(packing, qualities)
-            else:
-                reserve.append(packing)
-        for packing in reserve:
-            if self.c.satisfied or not self.tries:
-                break
-            self._plan(packing, self.c.qualities(packing))
-        self.c.surveys.append(self.survey)
-
-    def _ranked(self) -> list[tuple[Packing, tuple[int, ...]]]:
-        """The most promising packings first, each with an order to build it in."""
-        self.c.progress(f"{self.side}: ordering {len(self.found)} packings", 0.0)
-        priced = [(*apart_price(packing), packing) for packing in self.found[:RANKED]]
-        priced.sort(key=lambda item: item[0])
-        return [(packing, order) for _, order, packing in priced]
-
-    def _rule_out(self, result: Examination) -> None:
-        obstacles = dict(self.survey.obstacles)
+    def _rule_out(self, side: str, result: Examination) -> None:
+        obstacles = dict(self._surveys[side].obstacles)
         obstacles[result.obstacle] = obstacles.get(result.obstacle, 0) + 1
-        self.survey = replace(self.survey, obstacles=obstacles)
-        self.c.reasons[result.reason] += 1
+        self._note(side, obstacles=obstacles)
+        self.reasons[result.reason] += 1
 
-    def _plan(self, packing: Packing, qualities: Qualities) -> None:
+    def _plan(self, side: str, packing: Packing, qualities: Qualities) -> None:
         self.tries -= 1
-        self.c.tries -= 1
-        self.c.progress(f"{self.side}: planning a packing", 0.0)
+        self.progress(f"{side}: planning a packing", 0.0)
+        survey = self._surveys[side]
         try:
-            plan = make_plan(qualities.assembly, self.c.hands, self.c.planner, qualities=qualities)
+            plan = make_plan(qualities.assembly, self.hands, self.planner, qualities=qualities)
         except NoPlanError as error:
-            self.survey = replace(self.survey, unplanned=self.survey.unplanned + 1)
+            self._note(side, unplanned=survey.unplanned + 1)
             for reason, count in error.reasons.most_common(1):
-                self.c.reasons[reason] += count
+                self.reasons[reason] += count
             return
-        candidate = Candidate(self.side, packing, plan)
-        planned, excused = self.survey.planned + 1, self.survey.excused + (not candidate.clean)
-        self.survey = replace(self.survey, planned=planned, excused=excused)
-        self.c.plans.append(candidate)
+        candidate = Candidate(side, packing, plan)
+        self._note(side, planned=survey.planned + 1, excused=survey.excused + (not candidate.clean))
+        self.plans.append(candidate)

@@ -3,8 +3,8 @@ plan.
 
 What is asked is what every plan needs at the least: the finished packing stands; each piece has a way in and
 a candidate grasp when its turn comes; and what it comes into stands, with as many pieces held as there are
-hands to spare. A packing of which no order has that has no plan. A first look asks for more: that every state
-stands by itself, carries the next piece and bears its push."""
+hands to spare. A packing of which no order has that has no plan. Two looks before ask for more: that every
+state stands firmly, carries the next piece and bears its push, by itself or with a piece held."""
 
 from __future__ import annotations
 
@@ -18,9 +18,12 @@ from soma_bullet.planner.holds import Holds
 from soma_bullet.planner.options import PAPER
 from soma_bullet.planner.qualities import NOTHING, Placed, Qualities
 
-Outlook = Literal["clean", "possible", "unknown", "impossible"]
-FIRST_LOOK = 20  # steps that the first look may judge
-SECOND_LOOK = 60  # ... and the second one, after which the planner may find out
+Outlook = Literal["clean", "held", "possible", "unknown", "impossible"]
+LOOKS = {
+    "clean": 20,
+    "held": 30,
+    "possible": 60,
+}  # steps that a look may judge; then the planner may find out
 STANDS, LAST, STUCK = "does not stand", "no piece can be the last", "cannot be taken apart"
 
 
@@ -30,8 +33,8 @@ class Examination:
 
     Attributes:
         outlook: `clean`: an order was found of which every state stands by itself and bears the next piece;
-            `possible`: an order that may need holds; `unknown`: the look ended before one was found;
-            `impossible`: there is none.
+            `held`: ... with one piece held at times; `possible`: an order that has less; `unknown`: the looks
+            ended before one was found; `impossible`: there is none.
         obstacle: what makes it impossible, one of STANDS, LAST and STUCK; else empty.
         reason: the same with the pieces and the numbers.
         looks: states and insertions that were judged.
@@ -61,7 +64,7 @@ class _Look:
         self.hint = {piece: k for k, piece in enumerate(hint)}
         self.holds = Holds(qualities, frozenset())
         self.paper = qualities.options.stability == PAPER
-        self.steps = [step_analyzer(name) for name in (*STEPS, *qualities.options.analyzers)]
+        self.steps = {name: step_analyzer(name) for name in (*STEPS, *qualities.options.analyzers)}
         self.grounded = step_analyzer("grounded")
         self.judged: dict[tuple[Placed, int], str] = {}
         self.looks = 0
@@ -71,12 +74,13 @@ class _Look:
         final = self.holds.judge(everything)
         if not final.stands:
             return Examination("impossible", STANDS, f"the finished packing {final.reason}")
-        if self._apart(everything, True, FIRST_LOOK, set()):
-            return Examination("clean")
-        self.looks, failed = 0, set[Placed]()
-        if self._apart(everything, False, SECOND_LOOK, failed):
-            return Examination("possible")
-        if self.looks >= SECOND_LOOK:
+        failed = set[Placed]()
+        outlook: Outlook
+        for outlook in ("clean", "held", "possible"):
+            self.looks, failed = 0, set()
+            if self._apart(everything, outlook, failed):
+                return Examination(outlook)
+        if self.looks >= LOOKS["possible"]:
             return Examination("unknown")
         least = min(failed, key=lambda placed: (len(placed), sorted(placed)))
         why = "; ".join(
@@ -88,8 +92,9 @@ class _Look:
         state = "{" + ", ".join(self.names[k] for k in sorted(least)) + "}"
         return Examination("impossible", STUCK, f"no piece can be the last of {state}; {why}")
 
-    def _apart(self, placed: Placed, strict: bool, most: int, failed: set[Placed]) -> bool:
-        """Whether a set was taken apart within a number of looks; `failed` gathers sets that cannot be."""
+    def _apart(self, placed: Placed, outlook: Outlook, failed: set[Placed]) -> bool:
+        """Whether a set was taken apart within the steps of a look; `failed` gathers sets that cannot be."""
+        most = LOOKS[outlook]
         if not placed:
             return True
         if placed in failed:
@@ -99,8 +104,8 @@ class _Look:
                 return False
             self.looks += 1
             rest = placed - {piece}
-            good = not self._fault(rest, piece) and (not strict or self._is_clean(rest, piece))
-            if good and self._apart(rest, strict, most, failed):
+            good = not self._fault(rest, piece) and self._is_good(rest, piece, outlook)
+            if good and self._apart(rest, outlook, failed):
                 return True
         if self.looks < most:
             failed.add(placed)
@@ -113,10 +118,10 @@ class _Look:
         return self.judged[rest, piece]
 
     def _find_fault(self, rest: Placed, piece: int) -> str:
-        for analyse in self.steps:
+        for name, analyse in self.steps.items():
             judgement = analyse(self.q, rest, piece)
             if not judgement.stands:
-                return judgement.reason
+                return judgement.reason or f"the only way in has quality 0 ({name})"
         if not rest or self.paper or self.holds.judge(rest).stands:
             return ""
         spare = min(self.holds.hands - 1, len(rest))
@@ -124,11 +129,21 @@ class _Look:
             return ""
         return f"{{{', '.join(self.names[k] for k in sorted(rest))}}} falls, whatever is held"
 
-    def _is_clean(self, rest: Placed, piece: int) -> bool:
-        """Whether a piece comes into what stands by itself, carries it and bears its push."""
+    def _is_good(self, rest: Placed, piece: int, outlook: Outlook) -> bool:
+        """Whether a piece comes into what stands firmly, carries it and bears its push: by itself, or with
+        one piece held."""
+        if outlook == "possible":
+            return True
         if not self.grounded(self.q, rest, piece).stands:
             return False
         if not rest or self.paper:
             return True
-        robust = self.q.stability(rest).verdict == "robust"
-        return robust and self.q.bearing(rest, NOTHING, piece).margin >= 1.0
+        held = [NOTHING]
+        if outlook == "held" and self.holds.hands > 1:
+            held += [frozenset({other}) for other in sorted(rest)]
+        return any(self._is_firm(rest, piece, by) for by in held)
+
+    def _is_firm(self, rest: Placed, piece: int, held: Placed) -> bool:
+        """Whether a state with some pieces held is robust and bears the push of the next one."""
+        robust = self.holds.judge(rest, held).verdict == "robust"
+        return robust and self.q.bearing(rest, held, piece).margin >= 1.0

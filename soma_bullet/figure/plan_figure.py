@@ -112,7 +112,8 @@ def plan_figure(
             else:
                 found = find_packings(standing.cells, supply, options.nodes).found
             chooser.look_at(standing, found, standing is not upright[-1])
-    best, surveys = chooser.best(), tuple(chooser.surveys)
+    chooser.look_at_the_rest()
+    best, surveys = chooser.best(), chooser.surveys
     if best is None:
         raise NoFigurePlanError(figure.name, surveys, chooser.reasons)
     assembly = packed(figure.name, best.packing)
