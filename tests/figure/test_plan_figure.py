@@ -31,7 +31,7 @@ from soma_bullet.robot.cell import find_hand
 HANDS = HandSet.alike(find_hand("ur5e_pair"))
 FLAT = "LLL.VV\nL...V.\n"
 CUBE = [["###"] * 3] * 3
-HANGING = [["...", "VV.", "V.."], ["...", "...", "..."], ["LLL", "L..", "..."]]
+HANGING = [["VV", "V."], ["."], ["."], [".", ".", ".", "....LLL", "....L.."]]  # corner to corner
 Captured = pytest.CaptureFixture[str]
 
 
@@ -82,31 +82,21 @@ def test_what_stands_on_no_side_is_told_side_by_side() -> None:
         plan_figure(hanging, HANDS)
 
 
-def test_what_cannot_be_planned_says_why() -> None:
+def test_what_cannot_be_planned_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     lonely = Drawing("lonely", packing_of([["VV", "V."]])[0][1], packing_of([["VV", "V."]]))
     none = PlannerOptions(analyzers=("tests_figure_never:never",))
     Path("tests_figure_never.py").write_text(
         "from soma_bullet.planner.analyzers import Judgement\n"
         "def never(qualities, placed, piece):\n    return Judgement(0.0, 'never')\n"
     )
-    import sys
-
-    sys.path.insert(0, str(Path.cwd()))
-    try:
-        with pytest.raises(NoFigurePlanError, match="no packing of the 2 looked at can be built") as refused:
-            plan_figure(lonely, HANDS, planner=none)
-    finally:
-        sys.path.pop(0)
+    monkeypatch.syspath_prepend(str(Path.cwd()))
+    with pytest.raises(NoFigurePlanError, match="no packing of the 3 looked at can be built") as refused:
+        plan_figure(lonely, HANDS, planner=none)
     assert refused.value.proven and "never" in str(refused.value)
-    assert [survey.obstacles for survey in refused.value.surveys] == [{LAST: 1}] * 2
+    assert [survey.obstacles for survey in refused.value.surveys] == [{LAST: 1}] * 3
 
 
 def test_a_packing_that_falls_is_not_planned() -> None:
-    # the upper piece stands on one cell, beside its centre of mass
-    packing = packing_of([["V....", "VV..."], ["LLLL."[:3] + "..", "L...."]])
-    assembly = packed("x", packing)
-    result = examine(Qualities(assembly, HANDS, PlannerOptions().with_hands()), range(2))
-    assert result.outlook in ("clean", "possible")
     tall = packing_of([["..V", "..."], ["..V", "..V"], ["LLL", "L.."]])
     falls = examine(Qualities(packed("x", tall), HANDS, PlannerOptions().with_hands()), range(2))
     assert (falls.outlook, falls.obstacle) == ("impossible", STANDS) and "resists" in falls.reason
@@ -168,7 +158,7 @@ def test_a_drawing_is_built() -> None:
         (FLAT, ["--plans", "0", "--looks", "0"], 2, "2 faults - --plans 0.* - --looks 0"),
         (FLAT, ["--feed.noise-mm", "1"], 2, "--feed.noise-mm 1: counts only with --build"),
         (FLAT, ["--out", "drawn.txt"], 2, "--out: drawn.txt cannot be a folder"),
-        ("V\n\nV\nV\n", ["--side", "as-drawn"], 3, "cannot stand on the side that was looked at"),
+        ("#..\n\n###\n", ["--side", "as-drawn"], 3, "cannot stand on the side that was looked at"),
     ],
 )
 def test_what_ends_it_has_its_status(
@@ -178,6 +168,10 @@ def test_what_ends_it_has_its_status(
     told = said(capsys)
     assert re.search(message, told), told
     assert [path.name for path in Path.cwd().iterdir()] == ["drawn.txt"]
+
+
+def test_a_single_piece_is_a_figure_too() -> None:
+    assert figure([drawn("##\n#.\n")]) == 0
 
 
 def test_packings_are_listed_on_request(capsys: Captured) -> None:
