@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from soma_bullet.errors import NoSolutionError
 from soma_bullet.figure.examine import STANDS, Examination, examine
 from soma_bullet.figure.model import packed
@@ -29,6 +31,7 @@ from soma_bullet.planner.qualities import Qualities
 Progress = Callable[[str, float], None]  # what is going on, and the fraction that is done
 RANKED = 1000  # packings of a side whose promise is looked at; of more, the first ones
 SHARE = 0.5  # of what is left of looks and tries that a side may spend while others come after it
+ENOUGH = 3  # packings of a side that need holds, or may: then these are planned
 ROBUST = "robust"
 
 
@@ -163,9 +166,13 @@ class Chooser:
         spare_tries = self.tries - math.ceil(self.tries * SHARE) if more else 0
         self._surveys[side] = SideSurvey(side, len(found))
         self.progress(f"{side}: ordering {len(found)} packings", 0.0)
-        priced = sorted((*apart_price(packing), packing) for packing in found[:RANKED])
-        for number, (_, hint, packing) in enumerate(priced):
-            if self.satisfied or self.looks <= spare_looks or self.tries <= spare_tries:
+        # packings that look equally good are mixed: neighbours in the search have most pieces in common
+        mixed = np.random.default_rng(0).permutation(len(found[:RANKED])).tolist()
+        priced = sorted((apart_price(found[k])[0], tie, k) for tie, k in enumerate(mixed))
+        for number, (_, _, k) in enumerate(priced):
+            packing, hint = found[k], apart_price(found[k])[1]
+            spent = self.looks <= spare_looks or self.tries <= spare_tries
+            if self.satisfied or spent or len(held) == ENOUGH:
                 break
             self.progress(f"{side}: taking packing {number + 1} of {len(found)} apart", 0.0)
             qualities = self.qualities(packing)
@@ -176,7 +183,7 @@ class Chooser:
                 self._rule_out(side, result)
             elif result.outlook == "clean":
                 self._plan(side, packing, qualities)
-            elif result.outlook == "held":
+            elif result.outlook in ("held", "open"):
                 held.append(packing)
             else:
                 self._reserve.append((side, packing))

@@ -18,12 +18,9 @@ from soma_bullet.planner.holds import Holds
 from soma_bullet.planner.options import PAPER
 from soma_bullet.planner.qualities import NOTHING, Placed, Qualities
 
-Outlook = Literal["clean", "held", "possible", "unknown", "impossible"]
-LOOKS = {
-    "clean": 20,
-    "held": 30,
-    "possible": 60,
-}  # steps that a look may judge; then the planner may find out
+Outlook = Literal["clean", "held", "open", "possible", "unknown", "impossible"]
+# steps that a look may judge; then the planner may find out
+LOOKS = {"clean": 25, "held": 40, "possible": 60}
 STANDS, LAST, STUCK = "does not stand", "no piece can be the last", "cannot be taken apart"
 
 
@@ -33,8 +30,9 @@ class Examination:
 
     Attributes:
         outlook: `clean`: an order was found of which every state stands by itself and bears the next piece;
-            `held`: ... with one piece held at times; `possible`: an order that has less; `unknown`: the looks
-            ended before one was found; `impossible`: there is none.
+            `held`: ... with one piece held at times; `open`: an order that has less, but the looks for a
+            better one ended early; `possible`: there is no better one; `unknown`: the looks ended before any
+            was found; `impossible`: there is none.
         obstacle: what makes it impossible, one of STANDS, LAST and STUCK; else empty.
         reason: the same with the pieces and the numbers.
         looks: states and insertions that were judged.
@@ -76,10 +74,12 @@ class _Look:
             return Examination("impossible", STANDS, f"the finished packing {final.reason}")
         failed = set[Placed]()
         outlook: Outlook
+        early = False
         for outlook in ("clean", "held", "possible"):
             self.looks, failed = 0, set()
             if self._apart(everything, outlook, failed):
-                return Examination(outlook)
+                return Examination("open" if outlook == "possible" and early else outlook)
+            early = self.looks >= LOOKS[outlook]
         if self.looks >= LOOKS["possible"]:
             return Examination("unknown")
         least = min(failed, key=lambda placed: (len(placed), sorted(placed)))

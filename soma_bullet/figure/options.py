@@ -27,7 +27,7 @@ class FigureOptions(Options):
     """Plans without a warning that are compared; the one with the best score wins."""
     tries: Annotated[int, Range(1)] = 4
     """Packings that are planned in full at most."""
-    looks: Annotated[int, Range(1)] = 200
+    looks: Annotated[int, Range(1)] = 300
     """States and insertions that are judged at most while packings are taken apart, with grasps and
     equilibrium, to find out which can be planned; the most promising packings come first."""
     nodes: Annotated[int, Range(1)] = 1_000_000
