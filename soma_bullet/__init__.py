@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from soma_bullet.control.options import ExecutionOptions
     from soma_bullet.episode import run_episode
     from soma_bullet.errors import InputError, NoSolutionError, SomaBulletError
+    from soma_bullet.figure.options import FigureOptions
+    from soma_bullet.figure.plan_figure import FigurePlan, plan_figure
     from soma_bullet.grasp.hand import Hand
     from soma_bullet.options import EpisodeOptions
     from soma_bullet.pictures.options import FilmOptions
@@ -52,6 +54,8 @@ __all__ = [
     "ExecutionLog",
     "ExecutionOptions",
     "FeedOptions",
+    "FigureOptions",
+    "FigurePlan",
     "FilmOptions",
     "Hand",
     "HoldLoad",
@@ -71,6 +75,7 @@ __all__ = [
     "load_hand",
     "make_plan",
     "make_program",
+    "plan_figure",
     "run_episode",
 ]
 
@@ -84,6 +89,8 @@ _PLACES = {
     "ExecutionLog": "world.log",
     "ExecutionOptions": "control.options",
     "FeedOptions": "task.feed_options",
+    "FigureOptions": "figure.options",
+    "FigurePlan": "figure.plan_figure",
     "FilmOptions": "pictures.options",
     "Hand": "grasp.hand",
     "HoldLoad": "planner.options",
@@ -103,6 +110,7 @@ _PLACES = {
     "load_hand": "robot.cell:find_hand",
     "make_plan": "planner.plan",
     "make_program": "pipeline",
+    "plan_figure": "figure.plan_figure",
     "run_episode": "episode",
 }
 

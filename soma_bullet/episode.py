@@ -75,7 +75,7 @@ def run_episode(
     options = options or EpisodeOptions()
     options.check()
     check_analyzers(options.planner)
-    _check_folder(out)
+    check_folder(out)
     clock = _Clock()
     with clock.stage("load"):
         progress("loading", 0.0)
@@ -168,7 +168,7 @@ def _notes(program: Program | None, log: ExecutionLog, options: EpisodeOptions) 
     )
 
 
-def _check_folder(out: Path | None) -> None:
+def check_folder(out: Path | None) -> None:
     """Refuse a folder that cannot be written before any work is done."""
     if out is None:
         return

@@ -130,6 +130,11 @@ def write_json(value: Any, path: Path) -> None:
     _replace(path, lambda file: Path(file).write_text(_compact(text) + "\n", encoding="utf-8"))
 
 
+def write_text(text: str, path: Path) -> None:
+    """Write a text."""
+    _replace(path, lambda file: Path(file).write_text(text, encoding="utf-8"))
+
+
 def _compact(text: str) -> str:
     """Innermost lists of numbers on one line."""
     return re.sub(r"\[\s+([^\[\]{}\"]*?)\s+\]", lambda m: "[" + re.sub(r"\s+", " ", m.group(1)) + "]", text)

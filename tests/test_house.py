@@ -223,7 +223,7 @@ def commands() -> list[tuple[str, str, str]]:
 
 
 def test_every_command_is_there() -> None:
-    names = ("benchmark", "compare", "doctor", "episode", "evaluate", "plan", "render")
+    names = ("benchmark", "compare", "doctor", "episode", "evaluate", "figure", "plan", "render")
     assert [name for name, _, _ in commands()] == [f"soma-{name}" for name in names]
     for _, module, function in commands():
         assert callable(getattr(importlib.import_module(module), function))

@@ -20,6 +20,7 @@ import soma_bullet.evaluation.evaluate as evaluating
 import soma_bullet.planner.plan as planning
 from soma_bullet.cli.episode import RunArguments, run_episode
 from soma_bullet.cli.evaluate import EvaluateArguments, evaluate
+from soma_bullet.cli.figure import FigureArguments
 from soma_bullet.cli.flags import documentation, parse
 from soma_bullet.cli.plan import PlanArguments, plan
 from soma_bullet.cli.render import RenderArguments
@@ -35,7 +36,7 @@ from soma_bullet.planner.options import PlannerOptions
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "soma_bullet"
 DOCUMENTS = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md"))]
-COMMANDS = [RunArguments, EvaluateArguments, PlanArguments, RenderArguments]
+COMMANDS = [RunArguments, FigureArguments, EvaluateArguments, PlanArguments, RenderArguments]
 EPISODE = list(flags(EpisodeOptions))
 Captured = pytest.CaptureFixture[str]
 
@@ -254,6 +255,7 @@ SCRIPTS = {path.stem for path in (ROOT / "scripts").glob("*.py")}
 INSTALLED = {
     "soma-plan": "plan", "soma-episode": "run_episode", "soma-evaluate": "evaluate", "soma-render": "render",
     "soma-compare": "compare_runs", "soma-doctor": "doctor", "soma-benchmark": "benchmark",
+    "soma-figure": "figure",
 }  # fmt: skip
 TIMINGS = ("stages", "planner", "cube240", "motion", "simulate", "episode")
 ELSEWHERE = ("pip ", "python -m pip", "git ", "apt-get ", "make ")  # commands that are not ours

@@ -17,14 +17,15 @@ PACKAGE = Path(soma_bullet.__file__).parent
 FACE = {
     "functions": {
         "execute", "judge", "load_assembly", "load_cell", "load_hand", "make_plan", "make_program",
-        "run_episode",
+        "plan_figure", "run_episode",
     },
     "values": {
-        "Assembly", "AssemblyPlan", "Cell", "EpisodeReport", "ExecutionLog", "Hand", "Judgement", "Program",
+        "Assembly", "AssemblyPlan", "Cell", "EpisodeReport", "ExecutionLog", "FigurePlan", "Hand",
+        "Judgement", "Program",
     },
     "options": {
-        "EpisodeOptions", "ExecutionOptions", "FeedOptions", "FilmOptions", "HoldLoad", "Physics",
-        "PlannerOptions", "SearchOptions", "Tolerance",
+        "EpisodeOptions", "ExecutionOptions", "FeedOptions", "FigureOptions", "FilmOptions", "HoldLoad",
+        "Physics", "PlannerOptions", "SearchOptions", "Tolerance",
     },
     "errors": {"InputError", "NoSolutionError", "SomaBulletError"},
 }  # fmt: skip

@@ -104,7 +104,9 @@ def best_azimuth(bodies: tuple[Body, ...], directions: Array | None = None) -> f
         _, count = np.unique(np.round(hits.normal[seen] * 2), axis=0, return_counts=True)
         sides = np.sort(count)[-3:] / seen.sum()
         depth = min(1.0, 4.0 * float(sides[0])) if len(sides) == 3 else 0.0
-        along = np.zeros(1) if directions is None else np.linalg.norm(directions @ camera.axes[:2].T, axis=1)
+        along = np.zeros(1)
+        if directions is not None and len(directions):
+            along = np.linalg.norm(directions @ camera.axes[:2].T, axis=1)
         scores.append(0.6 * depth + 0.3 * float(along.mean()) + 0.4 * float(along.min()))
     shares = np.array(areas) / np.maximum(np.max(areas, axis=0), 1e-12)
     return float(

@@ -6,6 +6,7 @@ Qualities depend on the placed set and the piece alone, so that n! orders share 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -37,16 +38,26 @@ SPREAD = 12  # grasps of an incoming hand, of each kind, that are tried before a
 
 class Qualities:
     """S, G and A of every (placed set, piece) of one assembly and the hands of a cell; each evaluated at most
-    once."""
+    once.
 
-    def __init__(self, assembly: Assembly, hands: HandSet, options: PlannerOptions):
+    Args:
+        grasps: of pieces, by index, that `grasps` of the same piece, hands and options gave elsewhere.
+    """
+
+    def __init__(
+        self,
+        assembly: Assembly,
+        hands: HandSet,
+        options: PlannerOptions,
+        grasps: Mapping[int, GraspSet] | None = None,
+    ):
         self.assembly, self.hands, self.options = assembly, hands, options
         self._supply = hands.at_least(options.hand_count)
         self.ways = Ways(assembly, "ordinal" if options.stability == PAPER else "finite")
         self.pushes = Pushes(assembly, options.load)
         self._paper: dict[tuple[int, Placed, float], float] = {}
         self._stability: dict[tuple[Placed, Placed], StateStability] = {}
-        self._grasps: dict[int, GraspSet] = {}
+        self._grasps: dict[int, GraspSet] = dict(grasps or {})
         self._clear: dict[tuple[int, int], Mask] = {}
         self._chosen: dict[tuple[int, Placed], Assemblability] = {}
         self._entering: dict[tuple[int, int, tuple[float, ...]], Mask] = {}
