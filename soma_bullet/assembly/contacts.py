@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 
 from soma_bullet.assembly.contact import ANGLE_TOLERANCE, GAP_TOLERANCE, SUPPORT, Contact
-from soma_bullet.assembly.edge_contacts import Surface, pair_edges, support_edges
+from soma_bullet.assembly.edge_contacts import Surface, pair_edges, support_edges, without_grazing
 from soma_bullet.assembly.facets import LARGEST_SAGITTA, Facet, outline_vertices
 from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.frames import Array, Mask, readonly, tangents
@@ -46,11 +46,11 @@ def find_contacts(pieces: Sequence[Workpiece], goals: Array, support_height: flo
     ]
     boxes = [np.array([[*f.lift(np.array(f.polygon.envelope.exterior.coords))] for f in fs]) for fs in facets]
     lows, highs = [b.min(axis=1) for b in boxes], [b.max(axis=1) for b in boxes]
-    surfaces = [
-        Surface.of(fs, *(part.moved(goal) for part in piece.edges), low.min(axis=0), high.max(axis=0))
-        for piece, goal, fs, low, high in zip(pieces, np.asarray(goals), facets, lows, highs, strict=True)
-    ]
-    contacts = []
+    surfaces = []
+    for k, (piece, goal) in enumerate(zip(pieces, np.asarray(goals), strict=True)):
+        edges, corners = piece.edges
+        surfaces.append(Surface.of(facets[k], edges.moved(goal), corners.moved(goal), lows[k], highs[k]))
+    contacts: list[Contact] = []
     for a in range(len(pieces)):
         gap = pieces[a].clearance + GAP_TOLERANCE
         patches = _support_patches(a, facets[a], support_height, gap)
@@ -67,7 +67,7 @@ def find_contacts(pieces: Sequence[Workpiece], goals: Array, support_height: flo
                 ).all(axis=2)
                 patches = _pair_patches(a, b, facets[a], facets[b], gap, close)
                 contacts += patches + pair_edges(a, b, surfaces[a], surfaces[b], gap, patches)
-    return tuple(contacts)
+    return tuple(without_grazing(contacts, GAP_TOLERANCE))
 
 
 def _support_patches(piece: int, facets: Sequence[Facet], height: float, gap: float) -> list[Contact]:

@@ -9,7 +9,8 @@ A contact counts where the surfaces next to it leave one normal, or a range of t
   from slipping off either edge, and by symmetry that of two boards that lean against each other.
 Faces that are merely in line press on nothing: edges of which one has a face in the plane of a face of the
 other, turned against it, are left out (diagonal neighbours of polycubes), as are corners on an edge or a
-corner. Where a patch with the same normal lies already, it stands for its rim."""
+corner. Where a patch with the same normal lies already, it stands for its rim: also where another body
+carries a piece by it."""
 
 from __future__ import annotations
 
@@ -26,6 +27,7 @@ from soma_bullet.frames import Array, Mask, readonly, tangents
 
 FLUSH = np.deg2rad(0.1)  # [rad] a face that rises by less lies on the other one
 ALONG = np.sin(ANGLE_TOLERANCE)  # an edge that rises by more touches with its end alone
+LYING = 0.1  # a piece lies on what has so much of its normal upwards
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -51,11 +53,12 @@ class Surface:
 
     @classmethod
     def of(
-        cls, facets: tuple[Facet, ...], edges: Edges, corners: Corners, low: Array, high: Array
+        cls, facets: tuple[Facet, ...], edges: Edges, corners: Corners, lows: Array, highs: Array
     ) -> Surface:
-        """The surface with these facets, edges and corners, in a box from `low` to `high` (3,) [m]."""
+        """The surface with these facets, in boxes from `lows` to `highs` (f, 3) [m], edges and corners."""
         normals = np.array([f.normal for f in facets])
         offsets, turns = np.array([f.offset for f in facets]), np.array([f.turn for f in facets])
+        low, high = lows.min(axis=0), highs.max(axis=0)
         return cls(facets, edges, corners, normals, offsets, turns, low, high)
 
     def near(self, low: Array, high: Array, reach: float) -> tuple[Edges, Array, Array, Array]:
@@ -94,9 +97,7 @@ def support_edges(
     levels = edges.ends[:, :, 2] - height
     low = levels.min(axis=1)
     found = []
-    for k in np.flatnonzero(
-        rises.all(axis=1) & (np.abs(edges.along[:, 2]) < ALONG) & (np.abs(low) <= gap)
-    ):
+    for k in np.flatnonzero(rises.all(axis=1) & (np.abs(edges.along[:, 2]) < ALONG) & (np.abs(low) <= gap)):
         found.append(_Touch(_lowest(edges.ends[k], levels[k]), UP, -edges.recess[k, 2]))
     corners = surface.corners
     stands = (corners.spokes[:, :, 2] > ALONG).all(axis=1) & (np.abs(corners.points[:, 2] - height) <= gap)
@@ -150,17 +151,18 @@ def _on_faces(edges: Edges, surface: Surface, gap: float) -> list[_Touch]:
     near = (levels.min(axis=1) <= gap) & (levels.max(axis=1) >= -gap)
     for e, f in np.argwhere(rises.all(axis=1) & lies & near):
         facet, ends = surface.facets[f], edges.ends[e]
-        shared = _inside(facet).intersection(shapely.LineString(ends @ facet.basis.T))
-        if shared.length < GAP_TOLERANCE:
+        line = shapely.LineString(ends @ facet.basis.T)
+        if _inside(facet).intersection(line).length < GAP_TOLERANCE:
             continue
+        shared = facet.polygon.intersection(line)
         step = ends[1] - ends[0]
         flat = facet.basis @ step
         at = (shapely.get_coordinates(shared) - facet.basis @ ends[0]) @ flat / (flat @ flat)
-        line = ends[0] + np.array([[at.min()], [at.max()]]) * step
-        level = line @ facet.normal - facet.offset
+        points = ends[0] + np.array([[at.min()], [at.max()]]) * step
+        level = points @ facet.normal - facet.offset
         if abs(level.min()) > gap:
             continue
-        points = _lowest(line, level)
+        points = _lowest(points, level)
         points = points - 0.5 * (points @ facet.normal - facet.offset)[:, None] * facet.normal
         found.append(_Touch(points, facet.normal, -edges.recess[e] @ facet.normal))
     return found
@@ -221,7 +223,7 @@ def _beside(first: Edges, second: Edges, gap: float) -> list[_Touch]:
     """Edges along each other, normals into the second body."""
     along_a, along_b = first.along, second.along
     opposite = np.einsum("eiv,gjv->egij", first.normals, second.normals).min(axis=(2, 3))
-    in_line = opposite < -np.cos(ANGLE_TOLERANCE)  # faces in the same plane that are turned against each other
+    in_line = opposite < -np.cos(ANGLE_TOLERANCE)  # faces of one plane, turned against each other
     parallel = np.abs(along_a @ along_b.T) >= np.cos(ANGLE_TOLERANCE)
     found = []
     for e, g in np.argwhere(_boxed(first, second, gap) & parallel & ~in_line):
@@ -264,8 +266,25 @@ def _middle_normal(
     return np.asarray(middle / np.linalg.norm(middle))
 
 
+def without_grazing(contacts: Sequence[Contact], gap: float) -> list[Contact]:
+    """The contacts without the edges and corners that a piece merely grazes: those which a patch by which it
+    lies on another body, in the same plane within a gap [m], has at its rim. The patch carries it there."""
+    patches: dict[int, list[Contact]] = {}
+    for c in contacts:
+        if c.area > 0:
+            for body in (c.body_a, c.body_b):
+                patches.setdefault(body, []).append(c.into(body))
+    kept = []
+    for c in contacts:
+        upper = c.body_b if c.normal[2] > 0 else c.body_a
+        lies = c.area > 0 or abs(c.normal[2]) < LYING or upper == SUPPORT
+        if lies or not _within(c.into(upper), patches.get(upper, []), gap):
+            kept.append(c)
+    return kept
+
+
 def _within(contact: Contact, patches: Sequence[Contact], gap: float) -> bool:
-    """Whether a patch of the same two bodies, with the same normal, has the contact's points already."""
+    """Whether one of some patches, with the same normal, has the contact's points already."""
     for patch in patches:
         if contact.normal @ patch.normal < np.cos(ANGLE_TOLERANCE):
             continue
