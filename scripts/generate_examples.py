@@ -231,7 +231,7 @@ def dominoes() -> Solids:
 def leonardo() -> Solids:
     """Square beams: three along the bridge and two across it. The origin of the long ones is in the middle of
     their underside as well."""
-    return {"long.obj": block(150, 12, 12), "cross.obj": block(12, 60, 12)}
+    return {"long.obj": block(118, 12, 12), "cross.obj": block(12, 60, 12)}
 
 
 PRODUCTS: tuple[tuple[Callable[[], Solids], str], ...] = (

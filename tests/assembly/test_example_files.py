@@ -27,7 +27,7 @@ VOLUMES = {
     "gears": 82.84,
     "hinge": 76.32,
     "leaning_bridge": 85.80,
-    "leonardo": 82.08,
+    "leonardo": 68.26,
     "sliding_lid": 125.94,
     "stool": 80.40,
     "tower": 114.89,

@@ -114,7 +114,7 @@ def test_dominoes_stand_one_after_another_and_not_without_the_first() -> None:
 
 
 def test_the_bridge_stands_with_all_its_beams_alone() -> None:
-    """A cross beam is wedged between faces at 40 degrees, which squeeze it out unless the angle of friction is
+    """A cross beam is wedged between faces at 40 degrees, which squeeze it out unless the friction angle is
     20 degrees; its own weight is little."""
     whole = load_assembly("leonardo")
     every = frozenset(range(5))

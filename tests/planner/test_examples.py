@@ -127,7 +127,7 @@ def test_a_bridge_that_carries_itself_begins_with_a_beam_in_the_air() -> None:
     assert any(reason.startswith("{left, left_cross, right_back} falls") for reason in caught.value.reasons)
 
 
-@pytest.mark.parametrize("name", [param for param in NAMES if param not in CLOSED])
+@pytest.mark.parametrize("name", [name for name in NAMES if name.values[0] not in CLOSED])
 def test_every_piece_of_an_example_goes_onto_something(name: str) -> None:
     """Nothing hangs in the air until something is put under it: each piece is carried when it goes in."""
     assembly, plan = planned(name)
