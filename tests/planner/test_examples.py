@@ -118,7 +118,7 @@ def test_an_example_is_planned_as_it_must_be(name: str) -> None:
 
 
 def test_a_bridge_that_carries_itself_begins_with_a_beam_in_the_air() -> None:
-    """With one hand to spare. Grounded it cannot: no grasp of left bears a tip that is pushed on left_cross."""
+    """Grounded there is no plan: no grasp of left bears a right tip that is pushed on left_cross."""
     assembly, plan = planned("leonardo")
     assert [w for w in plan.warnings if w.startswith("nothing carries left_cross when it is placed")]
     hand = load_hand(ROOT / "robots/ur5e_pair/hand.toml")
