@@ -222,6 +222,18 @@ def burr() -> Solids:
     return {"post.obj": post, "cross.obj": cross, "beam.obj": beam, "key.obj": bar((-1, -4, 0), (1, 4, 2))}
 
 
+def dominoes() -> Solids:
+    """A block, and dominoes that lean: each touches the one before it with its upper edge alone. They stand
+    on their lower edges."""
+    return {"block.obj": block(40, 30, 64), "domino.obj": block(10, 30, 60)}
+
+
+def leonardo() -> Solids:
+    """Square beams: three along the bridge and two across it. The origin of the long ones is in the middle of
+    their underside as well."""
+    return {"long.obj": block(118, 12, 12), "cross.obj": block(12, 60, 12)}
+
+
 PRODUCTS: tuple[tuple[Callable[[], Solids], str], ...] = (
     (dowel, "mm"),
     (bracket, "in"),
@@ -236,6 +248,8 @@ PRODUCTS: tuple[tuple[Callable[[], Solids], str], ...] = (
     (crate, "mm"),
     (wedge_clamp, "mm"),
     (burr, "mm"),
+    (dominoes, "mm"),
+    (leonardo, "mm"),
 )
 
 

@@ -152,6 +152,4 @@ def _floating(assembly: Assembly, bodies: list[manifold3d.Manifold]) -> Iterator
         gap, nearest = min(gaps)
         names = ", ".join(repr(assembly.names[piece]) for piece in sorted(group))
         what = f"piece {names} touches" if len(group) == 1 else f"pieces {names} hang together but touch"
-        yield (
-            f"{what} neither the support nor another piece by a face: nearest is {nearest}, {gap:.4g} mm away"
-        )
+        yield (f"{what} neither the support nor another piece: nearest is {nearest}, {gap:.4g} mm away")

@@ -1,4 +1,5 @@
-"""Contact patches between workpieces, and between workpieces and the support.
+"""Contacts between workpieces, and between workpieces and the support: patches, and where there is none edges
+and corners.
 
 A patch is the planar polygon that two opposite facets share (shapely clips one against the other); coplanar
 patches of one body pair are one patch. Facets that tile a curved face touch within the angle and the depth of
@@ -7,45 +8,22 @@ their tessellation; they give points and normals."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
 
+from soma_bullet.assembly.contact import ANGLE_TOLERANCE, GAP_TOLERANCE, SUPPORT, Contact
+from soma_bullet.assembly.edge_contacts import Surface, pair_edges, support_edges, without_grazing
 from soma_bullet.assembly.facets import LARGEST_SAGITTA, Facet, outline_vertices
 from soma_bullet.assembly.workpiece import Workpiece
 from soma_bullet.frames import Array, Mask, readonly, tangents
 
-SUPPORT = -1  # index of the support where the index of a piece may stand
-ANGLE_TOLERANCE = np.deg2rad(2.0)  # [rad] between opposite normals
-GAP_TOLERANCE = 1e-4  # [m] beyond the fit gap, either sign
+__all__ = ["ANGLE_TOLERANCE", "GAP_TOLERANCE", "SUPPORT", "Contact", "find_contacts"]
+
 SMALLEST_AREA = 1e-6  # [m2]
 SMALLEST_WIDTH = 2e-6  # [m]
 SMALLEST_STRIP = 1e-9  # [m2] of a curved face's facets
-
-
-@dataclass(frozen=True, eq=False)
-class Contact:
-    """A planar patch.
-
-    Attributes:
-        body_a, body_b: indices of the pieces; SUPPORT for the support.
-        normal: unit normal (3,) from a into b.
-        points: corners (k, 3) [m] of the patch's convex hull: for wrenches they stand for all its points.
-        area: [m2] of the patch itself.
-    """
-
-    body_a: int
-    body_b: int
-    normal: Array
-    points: Array
-    area: float
-
-    def into(self, piece: int) -> Contact:
-        """The same patch with its normal pointing into `piece`."""
-        if piece == self.body_b:
-            return self
-        return replace(self, body_a=self.body_b, body_b=self.body_a, normal=-self.normal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,16 +39,22 @@ class _Patch:
 
 
 def find_contacts(pieces: Sequence[Workpiece], goals: Array, support_height: float) -> tuple[Contact, ...]:
-    """All patches among pieces at poses (n, 4, 4) and with the support plane z = support_height [m]."""
+    """All contacts among pieces at poses (n, 4, 4) and with the support plane z = support_height [m]."""
     facets = [
         tuple(facet.moved(goal) for facet in piece.facets)
         for piece, goal in zip(pieces, np.asarray(goals), strict=True)
     ]
     boxes = [np.array([[*f.lift(np.array(f.polygon.envelope.exterior.coords))] for f in fs]) for fs in facets]
     lows, highs = [b.min(axis=1) for b in boxes], [b.max(axis=1) for b in boxes]
-    patches = []
+    surfaces = []
+    for k, (piece, goal) in enumerate(zip(pieces, np.asarray(goals), strict=True)):
+        edges, corners = piece.edges
+        surfaces.append(Surface.of(facets[k], edges.moved(goal), corners.moved(goal), lows[k], highs[k]))
+    contacts: list[Contact] = []
     for a in range(len(pieces)):
-        patches += _support_patches(a, facets[a], support_height, pieces[a].clearance + GAP_TOLERANCE)
+        gap = pieces[a].clearance + GAP_TOLERANCE
+        patches = _support_patches(a, facets[a], support_height, gap)
+        contacts += patches + support_edges(a, surfaces[a], support_height, gap, patches)
         for b in range(a + 1, len(pieces)):
             gap = pieces[a].clearance + pieces[b].clearance + GAP_TOLERANCE
             near = np.all(lows[a].min(0) < highs[b].max(0) + gap) and np.all(
@@ -81,8 +65,9 @@ def find_contacts(pieces: Sequence[Workpiece], goals: Array, support_height: flo
                 close = (lows[a][:, None] < highs[b] + reach).all(axis=2) & (
                     lows[b] < highs[a][:, None] + reach
                 ).all(axis=2)
-                patches += _pair_patches(a, b, facets[a], facets[b], gap, close)
-    return tuple(patches)
+                patches = _pair_patches(a, b, facets[a], facets[b], gap, close)
+                contacts += patches + pair_edges(a, b, surfaces[a], surfaces[b], gap, patches)
+    return tuple(without_grazing(contacts, GAP_TOLERANCE))
 
 
 def _support_patches(piece: int, facets: Sequence[Facet], height: float, gap: float) -> list[Contact]:

@@ -71,7 +71,7 @@ class Assembly:
 
     @cached_property
     def contacts(self) -> tuple[Contact, ...]:
-        """Contact patches of the finished assembly, the support included."""
+        """Contacts of the finished assembly, the support included: patches, edges, corners."""
         return find_contacts(self.pieces, self.goals, self.support.height)
 
     @cached_property
@@ -115,27 +115,36 @@ class Assembly:
         others.
 
         A piece on the support drops by its clearance; one on others by both clearances plus the smallest drop
-        among the pieces that carry it (it rests on the highest). A piece that nothing carries keeps its goal.
+        among the pieces that carry it (it rests on the highest). On an edge or a corner it drops farther: the
+        real one stands back by more than the clearance. A piece that nothing carries keeps its goal.
         """
         upward = np.cos(np.deg2rad(60.0))
-        carriers: list[set[int]] = [set() for _ in self.pieces]
+        # what carries each piece, and how far both real surfaces stand back there
+        carriers: list[dict[int, tuple[float, float]]] = [{} for _ in self.pieces]
         for contact in self.contacts:
             if not {contact.body_a, contact.body_b} - {SUPPORT} <= placed:
                 continue
             for piece in {contact.body_a, contact.body_b} - {SUPPORT}:
                 oriented = contact.into(piece)
                 if oriented.normal[2] > upward:
-                    carriers[piece].add(oriented.body_a)
+                    known = carriers[piece].get(oriented.body_a)
+                    gaps = self.gaps_at(oriented)
+                    carriers[piece][oriented.body_a] = min(known or gaps, gaps, key=sum)
         drops = np.full(len(self.pieces), np.nan)
         for _ in self.pieces:
             for piece, below in enumerate(carriers):
                 if not below:
                     drops[piece] = 0.0
                 elif SUPPORT in below:
-                    drops[piece] = self.pieces[piece].clearance
+                    drops[piece] = below[SUPPORT][1]
                 elif not np.isnan(drops[list(below)]).any():
-                    drops[piece] = min(
-                        drops[other] + self.pieces[piece].clearance + self.pieces[other].clearance
-                        for other in below
-                    )
+                    drops[piece] = min(drops[other] + own + its for other, (its, own) in below.items())
         return np.nan_to_num(drops)
+
+    def gaps_at(self, contact: Contact) -> tuple[float, float]:
+        """How far the real surfaces of both bodies stand back from a contact along its normal [m]."""
+        first, second = (
+            0.0 if body == SUPPORT else self.pieces[body].clearance * recess
+            for body, recess in ((contact.body_a, contact.recess_a), (contact.body_b, contact.recess_b))
+        )
+        return first, second

@@ -9,6 +9,7 @@ import numpy as np
 import trimesh
 
 from soma_bullet.assembly.decomposition import Decomposition, decompose
+from soma_bullet.assembly.edges import Corners, Edges, convex_edges
 from soma_bullet.assembly.facets import Facet, planar_facets
 from soma_bullet.assembly.hulls import Hull
 from soma_bullet.frames import Array, readonly
@@ -72,6 +73,11 @@ class Workpiece:
     def facets(self) -> tuple[Facet, ...]:
         """Planar faces in the piece's frame, largest first."""
         return planar_facets(self.vertices, self.faces)
+
+    @cached_property
+    def edges(self) -> tuple[Edges, Corners]:
+        """Convex edges and corners of the surface, in the piece's frame."""
+        return convex_edges(self.facets)
 
     @cached_property
     def decomposition(self) -> Decomposition:

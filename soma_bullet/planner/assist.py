@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from soma_bullet.assembly.contact import proportions
 from soma_bullet.assembly.model import Assembly
 from soma_bullet.frames import Array, tangents
 from soma_bullet.grasp.hand import Hand
@@ -124,17 +125,17 @@ def _insertion_push(
     """Wrench (bodies, 6) of the next piece pressing along its direction on the placed pieces that it will
     touch.
 
-    They share it by area.
+    They share it by area, or by length where one has no area.
     """
     push = np.zeros((len(bodies), 6))
     if upcoming is None or direction is None:
         return push
     touched = [c for c in assembly.contacts_of(upcoming, frozenset(bodies)) if c.body_a in bodies]
     pressed = [c for c in touched if float(c.normal @ direction) < -0.1]
-    total = sum(c.area for c in pressed)
-    for c in pressed:
+    parts = proportions(pressed)
+    for c, part in zip(pressed, parts, strict=True):
         row = bodies.index(c.body_a)
-        share = direction * force * c.area / total
+        share = direction * force * part / sum(parts)
         push[row, :3] += share
         push[row, 3:] += np.cross(c.points.mean(axis=0) - assembly.goal_centres[c.body_a], share)
     return push

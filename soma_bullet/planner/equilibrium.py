@@ -137,7 +137,7 @@ def _opening(contact: Contact, assembly: Assembly, drops: Array) -> float:
         return 0.0
     above = contact.body_b if contact.normal[2] > 0 else contact.body_a
     below = contact.body_a + contact.body_b - above
-    gap = assembly.pieces[above].clearance + assembly.pieces[below].clearance
+    gap = sum(assembly.gaps_at(contact))
     return float(gap - (drops[above] - drops[below]) * abs(contact.normal[2]))
 
 
@@ -145,11 +145,17 @@ def _widest_opening(assembly: Assembly, placed: frozenset[int]) -> float:
     """Largest opening of the settled state, as the angle [rad] by which a piece leans to close it."""
     drops = assembly.drops_of(placed)
     open_by = [
-        _opening(contact, assembly, drops) / np.sqrt(contact.area)
+        _opening(contact, assembly, drops) / (contact.width or _smaller_radius(contact, assembly))
         for contact in assembly.contacts
         if abs(contact.normal[2]) >= SIDE and {contact.body_a, contact.body_b} - {SUPPORT} <= placed
     ]
     return float(max(open_by, default=0.0))
+
+
+def _smaller_radius(contact: Contact, assembly: Assembly) -> float:
+    """Radius [m] of the smaller piece at a contact: what leans about a point."""
+    bodies = {contact.body_a, contact.body_b} - {SUPPORT}
+    return min(assembly.pieces[body].radius for body in bodies)
 
 
 def contact_columns(

@@ -234,7 +234,7 @@ BROKEN = {
     "floats": (
         UPPER_GOAL,
         "position = [0, 0, 33.0]",
-        r"piece 'upper' touches neither the support nor another piece by a face: nearest is 'lower', 3 mm",
+        r"piece 'upper' touches neither the support nor another piece: nearest is 'lower', 3 mm",
     ),
     "touches by an edge only": (
         UPPER_GOAL,

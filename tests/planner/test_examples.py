@@ -67,8 +67,11 @@ FACTS = {
         holds=3,
     ),
     "arch": Facts(holds=2),
+    "dominoes": Facts((("block", "first"), ("first", "second"), ("second", "third"), ("third", "fourth"))),
+    "leonardo": Facts(holds=1),
     "burr": Facts((("left_post", "beam"), ("right_post", "beam")), "key", {"key": (None, "peg through")}),
 }
+CLOSED = {"leonardo"}  # each piece is carried by others: the first hangs in a hand until they are there
 SLOW = {"stool", "tower", "gears", "leaning_bridge", "burr", "hinge", "arch"}
 
 
@@ -82,7 +85,7 @@ def planned(name: str) -> tuple[Assembly, AssemblyPlan]:
     load = HoldLoad(push=1.0) if name == "arch" else HoldLoad()
     hand, options = (
         load_hand(ROOT / "robots/ur5e_pair/hand.toml"),
-        PlannerOptions(analyzers=("grounded",), load=load),
+        PlannerOptions(analyzers=() if name in CLOSED else ("grounded",), load=load),
     )
     return assembly, make_plan(assembly, HandSet.alike(hand), options)
 
@@ -114,7 +117,17 @@ def test_an_example_is_planned_as_it_must_be(name: str) -> None:
     assert not plan.steps[-1].holds
 
 
-@pytest.mark.parametrize("name", NAMES)
+def test_a_bridge_that_carries_itself_begins_with_a_beam_in_the_air() -> None:
+    """Grounded there is no plan: no grasp of left bears a right tip that is pushed on left_cross."""
+    assembly, plan = planned("leonardo")
+    assert [w for w in plan.warnings if w.startswith("nothing carries left_cross when it is placed")]
+    hand = load_hand(ROOT / "robots/ur5e_pair/hand.toml")
+    with pytest.raises(NoPlanError) as caught:
+        make_plan(assembly, HandSet.alike(hand), PlannerOptions(analyzers=("grounded",)))
+    assert any(reason.startswith("holding left in {left, left_cross}") for reason in caught.value.reasons)
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name.values[0] not in CLOSED])
 def test_every_piece_of_an_example_goes_onto_something(name: str) -> None:
     """Nothing hangs in the air until something is put under it: each piece is carried when it goes in."""
     assembly, plan = planned(name)
