@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 from soma_bullet.cli.common import WIDTH, run_command
 from soma_bullet.cli.episode import PLANNED
 from soma_bullet.cli.flags import parse
+from soma_bullet.errors import NoSolutionError
 from soma_bullet.figure.options import FigureOptions
 from soma_bullet.option import Options, changed
 from soma_bullet.options import EpisodeOptions
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from soma_bullet.planner.assembly_plan import AssemblyPlan
 
 PLANS = (*PLANNED, "--cell", "--hand", "--seed", "--labels")  # what counts without --build
+SCHEDULED = 3  # packings of which a schedule is looked for
 SHOWN = 12  # packings that are printed with --packings
 
 
@@ -78,6 +80,7 @@ def _run(options: FigureArguments) -> int:
 
     options.check()
     from soma_bullet.episode import check_folder, run_episode
+    from soma_bullet.figure.packing import Packing
     from soma_bullet.figure.plan_figure import plan_figure
     from soma_bullet.pipeline import cell_of
     from soma_bullet.report.report import print_report
@@ -95,15 +98,24 @@ def _run(options: FigureArguments) -> int:
         def progress(what: str, fraction: float) -> None:
             bar.update(task, description=what, completed=fraction)
 
-        found = plan_figure(options.drawing, cell.hands, options.figure, planner, progress)
-        out = options.out or Path("runs") / "figure" / found.name
-        progress(f"drawing {found.name}", 0.0)
-        plan, file = _write(found, out)
-        _print_figure(found, plan, options.figure, console)
-        if not options.build:
-            console.print(f"written to {out}/", markup=False)
-            return 0
-        report = run_episode(file, episode, out, out / "plan.json", progress=progress)
+        refused = frozenset[Packing]()
+        while True:
+            found = plan_figure(options.drawing, cell.hands, options.figure, planner, progress, refused)
+            out = options.out or Path("runs") / "figure" / found.name
+            progress(f"drawing {found.name}", 0.0)
+            plan, file = _write(found, out)
+            _print_figure(found, plan, options.figure, console)
+            if not options.build:
+                console.print(f"written to {out}/", markup=False)
+                return 0
+            try:
+                report = run_episode(file, episode, out, out / "plan.json", progress=progress)
+                break
+            except NoSolutionError as error:  # another packing may have a schedule
+                refused |= {found.packing}
+                if len(refused) == SCHEDULED:
+                    raise
+                console.print(f"this packing has no schedule, another is looked for: {error.summary}\n")
     assert report is not None
     print_report(report, console)
     if report.video["note"] and options.video:

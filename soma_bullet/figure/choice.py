@@ -124,16 +124,25 @@ class NoFigurePlanError(NoSolutionError):
 class Chooser:
     """Looks at packings until there are enough good plans, or no looks left.
 
+    Args:
+        refused: packings that a later stage found impossible.
+
     Attributes:
         reasons: why packings cannot be built -> how many.
         plans: that were made.
     """
 
     def __init__(
-        self, name: str, hands: HandSet, options: FigureOptions, planner: PlannerOptions, progress: Progress
+        self,
+        name: str,
+        hands: HandSet,
+        options: FigureOptions,
+        planner: PlannerOptions,
+        progress: Progress,
+        refused: frozenset[Packing] = frozenset(),
     ):
         self.name, self.hands, self.options, self.planner = name, hands, options, planner
-        self.progress = progress
+        self.progress, self.refused = progress, refused
         self._surveys: dict[str, SideSurvey] = {}
         self._reserve: list[tuple[str, Packing]] = []
         self.reasons = Counter[str]()
@@ -164,7 +173,10 @@ class Chooser:
         side, held = standing.side, list[Packing]()
         spare_looks = self.looks - math.ceil(self.looks * SHARE) if more else 0
         spare_tries = self.tries - math.ceil(self.tries * SHARE) if more else 0
-        self._surveys[side] = SideSurvey(side, len(found))
+        known = sum(packing in self.refused for packing in found)
+        unbuilt = {"without a schedule": known} if known else {}
+        self._surveys[side] = SideSurvey(side, len(found), obstacles=unbuilt)
+        found = tuple(packing for packing in found if packing not in self.refused)
         self.progress(f"{side}: ordering {len(found)} packings", 0.0)
         # packings that look equally good are mixed: neighbours in the search have most pieces in common
         mixed = np.random.default_rng(0).permutation(len(found[:RANKED])).tolist()

@@ -7,6 +7,7 @@ cells of each letter form that piece, the drawing is a packing too."""
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -106,7 +107,7 @@ def drawing_of(layers: list[list[str]], name: str, source: str = "drawing") -> D
     if wrong and len(found) > 1:
         hint = f"a drawing without letters has one character for every cell, this one has {len(found)}"
         raise InputError(source, [*wrong, hint])
-    return Drawing(name, at_origin(cells), packing)
+    return Drawing(re.sub(r"[^\w.-]+", "_", name), at_origin(cells), packing)  # as assemblies are called
 
 
 def _letter(mark: str) -> str:

@@ -70,6 +70,7 @@ def plan_figure(
     options: FigureOptions | None = None,
     planner: PlannerOptions | None = None,
     progress: Progress = lambda what, fraction: None,
+    refused: frozenset[Packing] = frozenset(),
 ) -> FigurePlan:
     """Find a packing of a drawn figure by Soma pieces that can be built, the side to build it on, and its
     plan.
@@ -82,6 +83,7 @@ def plan_figure(
         hands: those of the arms.
         planner: how orders are judged.
         progress: told what is going on.
+        refused: packings that a later stage found impossible.
 
     Raises:
         InputError: the drawing, its number of cells or an option is wrong.
@@ -99,7 +101,7 @@ def plan_figure(
     falls = {standing.side: standing.falls for standing in standings}
     if all(falls.values()):
         raise NowhereStandsError(figure.name, falls)
-    chooser = Chooser(figure.name, hands, options, planner, progress)
+    chooser = Chooser(figure.name, hands, options, planner, progress, refused)
     upright = [standing for standing in standings if not standing.falls]
     for standing in standings:
         if standing.falls:

@@ -183,3 +183,29 @@ def test_packings_are_listed_on_request(capsys: Captured) -> None:
 def test_errors_are_of_the_house() -> None:
     for kind in (NoPackingError, NowhereStandsError, NoFigurePlanError):
         assert issubclass(kind, NoSolutionError) and kind.exit_status == 3
+
+
+@pytest.mark.slow
+def test_a_figure_of_seven_pieces_is_built() -> None:
+    """From the drawing to the judged episode; no placed piece is moved by a millimetre."""
+    layers = [
+        "###.#####\n#.#......\n##.......",
+        "###.#####\n#........\n#........",
+        "....#####\n.........\n.........",
+    ]
+    assert figure([drawn("\n\n".join(layers)), "--build", "--no-video", "--out", "built"]) == 0
+    report = json.loads(Path("built/report.json").read_text())
+    assert report["success"] and max(i["neighbours_mm"] for i in report["insertions"]) < 1.0
+
+
+def test_a_packing_that_has_no_schedule_is_passed_over() -> None:
+    drawing = drawing_of([["###", "###"], ["###", "###"]], "box")
+    first = plan_figure(drawing, HANDS)
+    other = plan_figure(drawing, HANDS, refused=frozenset({first.packing}))
+    assert other.packing != first.packing
+    assert any("1 without a schedule" in survey.text() for survey in other.surveys)
+
+
+def test_a_figure_of_any_name_can_be_loaded_again() -> None:
+    found = plan_figure(drawing_of([["LLL.VV", "L...V."]], "2x3 + one, \u00fc"), HANDS)
+    assert load_assembly(found.write(Path("out"))).name == found.name == "2x3_one_\u00fc"
