@@ -105,7 +105,7 @@ def test_every_option_of_a_plan_arrives(flag: Flag, monkeypatch: pytest.MonkeyPa
     with pytest.raises(Received) as received:
         plan(["soma3", *typed(flag, value)])
     options = received.value.args[0]
-    assert flag.value(options) == value and list(changed(options, PlannerOptions())) == [flag.name]
+    assert flag.value(options) == value and list(changed(options, PlannerOptions(hands=2))) == [flag.name]
 
 
 EVALUATION = [flag for flag in flags(EvaluationOptions) if "film" not in flag.path]
@@ -241,7 +241,7 @@ def test_no_command_has_a_default_of_its_own() -> None:
     owned = {field.name for kind in kinds(EpisodeOptions) for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
     for command in COMMANDS:
         own = {field.name for field in dataclasses.fields(command)}  # type: ignore[arg-type]
-        assert own & owned <= {"film", "planner", "hand", "jobs"}, command
+        assert own & owned <= {"film", "planner", "cell", "hand", "jobs"}, command
 
 
 def test_cameras_and_renderers_are_those_that_there_are() -> None:

@@ -10,6 +10,7 @@ from typing import Annotated, ClassVar
 from soma_bullet.cli.common import WIDTH, run_command
 from soma_bullet.cli.flags import parse
 from soma_bullet.option import Options, Range
+from soma_bullet.options import EpisodeOptions
 from soma_bullet.planner.options import PlannerOptions
 
 PICTURES, JSON = (".png", ".svg", ".pdf"), (".json",)
@@ -28,7 +29,7 @@ class PlanArguments(Options):
     assembly: str
     """An assembly file, or the name of one that comes with the package (soma3, soma4, cube, dowel, arch,
     ...)."""
-    cell: str = "ur5e_pair"
+    cell: str = EpisodeOptions.cell
     """A folder or cell.toml whose arms' hands are to build it, or the name of one under robots/."""
     hand: str | None = None
     """A hand.toml that replaces the hands of the cell, or the name of a cell whose hand it is."""

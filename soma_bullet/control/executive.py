@@ -86,7 +86,7 @@ class Executive:
         self.placement = Placement(workcell, executor, self.perception, self.recover)
         self.recovery = Recovery(workcell, plan, executor, self.perception)
         self.onward, self.avoid = Onward(workcell, plan, search), set[Identity]()
-        self.look = options.look if self.recover else "never"
+        self.look = options.look if options.recover else "never"
 
     def run(self) -> str:
         """Returns `done`, or why it stopped."""
@@ -240,6 +240,8 @@ class Executive:
                 self.executor.let_go(segment, assignment.insert.width + 2 * OPENING)
         if self.look == "each" or (self.look == "placed" and segment.kind is SETTLE):
             off = tuple(self.recovery.displaced(self.state))
-            if off:
+            # what other hands hold up would fall if they let go for its sake
+            held = set(self.state.held.values()) - set(off)
+            if off and self.recover and not held:
                 return Trouble(k, segment, None, "not where it should be", off)
         return None

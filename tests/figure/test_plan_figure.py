@@ -195,7 +195,7 @@ def test_a_figure_of_seven_pieces_is_built() -> None:
     ]
     assert figure([drawn("\n\n".join(layers)), "--build", "--no-video", "--out", "built"]) == 0
     report = json.loads(Path("built/report.json").read_text())
-    assert report["success"] and max(i["neighbours_mm"] for i in report["insertions"]) < 1.0
+    assert report["success"] and max(i["neighbours_mm"] for i in report["judgement"]["insertions"]) < 1.0
 
 
 def test_a_packing_that_has_no_schedule_is_passed_over() -> None:
