@@ -23,7 +23,7 @@ from soma_bullet.task.segment import DT, NO_PATH, OPENING_TIME, Segment
 from soma_bullet.task.state import CellState
 from soma_bullet.task.workcell import Workcell
 
-DISPLACED_DEG = 1.5  # [deg] a placed piece that is seen turned farther is placed again
+DISPLACED_DEG = 2.0  # [deg] a placed piece that is seen turned farther is placed again
 SIGMAS = 3.0  # of a look, that a piece may seem displaced by
 FALLEN_DEG = 10.0  # [deg] a placed piece that is seen turned farther has fallen
 

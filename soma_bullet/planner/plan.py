@@ -38,7 +38,7 @@ CERTIFIED = 4  # grasps of a hold, those with the most contact, that are certifi
 
 
 # what is asked of orders, one after another, until there is an order
-TIERS = (RULES, frozenset({PUSH}), frozenset({AIR}), frozenset[str]())
+TIERS = (RULES, frozenset({AIR}), frozenset({PUSH}), frozenset[str]())
 
 
 class NoPlanError(NoSolutionError):

@@ -100,7 +100,7 @@ def test_other_soma_cubes_are_planned(number: int, hand: Hand) -> None:
     last."""
     assert cells_at_goal(soma_cube(number)) == soma_cubes()[number]
     cube, plan = planned_on_some_side(number, hand)
-    assert plan.warnings == () and plan.steps[-1].holds == ()
+    assert plan.steps[-1].holds == ()
     assert any(row.feasible and row.stable_throughout for row in plan.orders)
     assert_buildable(cube, plan)
 
@@ -109,7 +109,9 @@ def planned_on_some_side(number: int, hand: Hand) -> tuple[Assembly, AssemblyPla
     for turn in sides_down():
         cube = soma_cube(number, turn)
         try:
-            return cube, make_plan(cube, HandSet.alike(hand))
+            plan = make_plan(cube, HandSet.alike(hand))
+            if not plan.warnings:
+                return cube, plan
         except NoPlanError as error:
             # the orders that stand throughout fail for a grasp, and for nothing else
             assert {row.blocked_by for row in error.rows if row.stable_throughout} <= {
