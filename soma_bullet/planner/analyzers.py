@@ -139,8 +139,8 @@ def _found(name: str, known: dict[str, Any], option: str) -> Any:
         )
     if not module or not function:
         raise InputError(f"--{option}", f"{name!r}: must be module:function")
-    if "" not in sys.path:
-        sys.path.insert(0, "")  # a module beside the user
+    here = str(Path.cwd())
+    sys.path.append(here)  # a module beside the user; last, so that it hides no other
     try:
         found = getattr(importlib.import_module(module), function)
     except ImportError as error:
@@ -149,6 +149,8 @@ def _found(name: str, known: dict[str, Any], option: str) -> Any:
         raise InputError(f"--{option}", f"{name!r}: module {module!r} has no {function!r}") from None
     except Exception as error:  # whatever the module does when it is imported
         raise InputError(f"--{option}", f"{name!r}: module {module!r} cannot be imported: {error}") from error
+    finally:
+        sys.path.remove(here)
     if not callable(found):
         raise InputError(f"--{option}", f"{name!r} is no function")
     return partial(_judged, f"--{option} {name}", found)
